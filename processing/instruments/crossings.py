@@ -112,8 +112,10 @@ def joined_half_cycles(recorded: Sequence[HalfCycle], inferred: Sequence[HalfCyc
     if not inferred:
         return list(recorded)
     turns_ns = np.array([half_cycle.turn_time_ns for half_cycle in inferred])
-    numbers = [half_cycle.index for half_cycle in inferred]
-    half_ns = np.median(np.diff(turns_ns) / np.diff(numbers)) if len(inferred) > 1 else 0
+    timed = inferred if len(inferred) > 1 else [one for one in recorded if not one.flags]
+    places = np.array([(half_cycle.turn_time_ns, half_cycle.index) for half_cycle in timed]).reshape(-1, 2)
+    steps_ns, steps = np.diff(places, axis=0).T
+    half_ns = float(np.median(steps_ns / steps)) if len(steps) else 0.0
     only_recorded = [
         half_cycle
         for half_cycle in recorded
@@ -242,7 +244,7 @@ class CircularError(NamedTuple):
             return f"the period follows the circular-error law: {with_uncertainty(f, u)} times alpha^2/16"
         faster = "faster" if f > 1 else "more slowly"
         return (
-            f"the period falls with the amplitude {faster} than the circular-error law: "
+            f"the period rises with the amplitude {faster} than the circular-error law: "
             f"{with_uncertainty(f, u)} times alpha^2/16"
         )
 

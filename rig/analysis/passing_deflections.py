@@ -154,7 +154,8 @@ def without_beam_motion(reader: RecordReader, config: Configuration) -> Deflecti
         if gain is None:
             with suppress(DataError):
                 gain = gain_while_swinging(spots["time_ns"], *spot, position, u)
-        if gain is None or not gain.value > _MIN_GAIN_U * gain.standard_uncertainty:
+        is_significant = gain is not None and gain.value > _MIN_GAIN_U * gain.standard_uncertainty
+        if gain is None or (stated_gain is None and not is_significant):
             gain = gain or Estimate(np.nan, np.inf)
             by_axis[name] = uncorrected(*spot, gain, ReferenceVerdict.UNKNOWN_GAIN)
         else:

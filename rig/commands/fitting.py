@@ -124,7 +124,8 @@ def fit(
     read = partial(_seismometer, seismometer, seismometer_column or (), seismometer_offset)
     table_options = {"--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit}
     film_options = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
-    common_options = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
+    interval = {"--rate": rate is not None, "--from": begin is not None, "--to": end is not None}
+    common_options = {"--config": config, **interval, "--run": run}
     kind = "records" if len(files) > 1 else kind_of(files[0])
     if kind == "records":
         refuse_options(

@@ -209,13 +209,16 @@ class SafetyState:
         """
         with self._press_lock:
             self._look_for_press()
-            why, mark, state = self._new_press, self._mark, self._state
-            if not why or (state.latched is not None and state.press == mark):
+            # a trip that comes meanwhile waits for this, so that neither replaces the other
+            with self._state_lock:
+                why, mark, state = self._new_press, self._mark, self._state
                 self._new_press = ""
-                return None
-            latched = state.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
-            self._change(press=mark, number=state.number + (state.latched is None), latched=latched)
-            self._new_press = ""
+                if not why or (state.latched is not None and state.press == mark):
+                    return None
+                latched = state.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
+                number = state.number + (state.latched is None)
+                changes = {"press": mark, "number": number, "latched": latched}
+                self._state = state.model_copy(update=changes)
             self._write_in_time()
             return self.trip
 

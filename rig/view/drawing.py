@@ -42,6 +42,7 @@ _STATE_COLOURS: Final = {
     "camera lost": _BAD,
     "lit": _GOOD,
     "dark": _BAD,
+    "unknown": palette.ORANGE,
 }
 _STATES_AFTER_EVENT: Final[dict[str, dict[str, str]]] = {
     EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},

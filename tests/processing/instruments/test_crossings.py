@@ -93,3 +93,17 @@ def test_half_periods_without_any_sample_are_counted() -> None:
     nearest = [int(np.argmin(np.abs(truth.time_s - swing.turn_time_ns * 1e-9))) for swing in swings]
     assert max(np.diff(nearest)) > 5
     np.testing.assert_array_equal(np.diff([swing.index for swing in swings]), np.diff(nearest))
+
+
+def half_cycle(index: int, time_s: float, flags: int = 0) -> HalfCycle:
+    return HalfCycle(
+        index=index, turn_time_ns=round(time_s * 1e9), u_turn_time_s=1e-4, amplitude=0.1, u_amplitude=1e-5,
+        half_period_s=2.0, u_half_period_s=1e-4, centre=0.0, side=1 - 2 * (index % 2), flags=flags,
+    )  # fmt: skip
+
+
+def test_one_inferred_half_cycle_replaces_its_own_and_leaves_gaps() -> None:
+    recorded = [half_cycle(k, 2.0 * k, int(HalfCycleFlag.GAP) if k == 4 else 0) for k in range(7)]
+    joined = joined_half_cycles(recorded, [half_cycle(0, 2.001, int(HalfCycleFlag.INFERRED))])
+    assert [one.index for one in joined] == [0, 1, 2, 3, 5, 6]
+    assert joined[1].flags == int(HalfCycleFlag.INFERRED)

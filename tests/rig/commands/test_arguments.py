@@ -48,6 +48,8 @@ def test_a_file_is_fitted_as_what_it_is(tmp_path: Path) -> None:
     ("name", "words", "said"),
     [
         ("run.mcap", ("--pixel", "1 mm"), "--pixel: has no effect on records, only on a table or a film"),
+        ("run.mcap", ("--rate", "0"), "--rate: has no effect on records, only on a table or a film"),
+        ("run.mcap", ("--from", "0"), "--from: has no effect on records, only on a table or a film"),
         ("decay.csv", ("--dark",), "--dark: has no effect on a table"),
         ("swing.mp4", ("--time", "t"), "--time: has no effect on a film"),
         ("swing.mp4", ("--force-rate",), "--force-rate: needs --rate"),

@@ -7,7 +7,8 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
+from typing import Any
 
 import pytest
 
@@ -20,6 +21,7 @@ from rig.control import (
     TripCause,
     rig_state_path,
     run_in_thread,
+    safety_state,
 )
 from rig.control.presses import Presses
 from tests.disk_without_locks import NO_LOCKS, without_locks
@@ -138,6 +140,30 @@ def test_a_press_stays_in_the_words_of_the_trip_that_follows(path: Path) -> None
         state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
         assert state.trip is not None
         assert state.trip.text == "trip 2 (OUTPUT): it stays lit; LIGHT OFF was pressed at the desk"
+
+
+def test_a_trip_that_comes_while_a_press_is_latched_is_not_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SafetyState(path) as state:
+        assert state.presses is not None
+        state.presses.press("the desk")
+        trip = Thread(target=state.latch, args=(TripCause.OUTPUT, "its spot is seen", True))
+        entry = safety_state._LatchEntry
+
+        def meanwhile(**values: Any) -> Any:
+            if values["cause"] is TripCause.PERSON:
+                trip.start()
+                trip.join(0.3)
+            return entry(**values)
+
+        monkeypatch.setattr(safety_state, "_LatchEntry", meanwhile)
+        state.take_press(lit=True)
+        trip.join()
+        assert state.trip is not None
+        assert state.trip.cause is TripCause.OUTPUT
+        assert "its spot is seen; " in state.trip.text
+        assert "the desk" in state.trip.text
 
 
 def test_a_press_while_a_trip_waits_needs_no_second_acknowledgement(path: Path) -> None:

@@ -140,6 +140,16 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
     assert after[0] < 0.3 * before[0]
 
 
+def test_a_stated_gain_is_used_however_uncertain_it_is(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        config = recorded_configuration(reader)
+        assert config.reference is not None
+        uncertain = config.reference.model_copy(update={"gain": 1.5, "u_gain": 0.4})
+        less = without_beam_motion(reader, config.model_copy(update={"reference": uncertain}))
+        assert less is not None
+    assert "not stated" not in less.note
+
+
 def test_an_uncertainty_of_a_gain_that_is_not_stated_is_refused() -> None:
     with pytest.raises(ValueError, match=r"u_gain = 0\.1: has no effect without gain"):
         ReferenceSettings(from_row_px=600, u_gain=0.1)

@@ -16,7 +16,7 @@ from processing.units import ARCSEC_RAD
 from rig.instrument import Block, complete, make_camera
 from rig.settings import load_configuration
 from rig.view import BalanceView, layout
-from rig.view.drawing import RunLanes
+from rig.view.drawing import _STATE_COLOURS, _STATES_AFTER_EVENT, RunLanes
 from rig.view.graticule import PLANE_REACH
 from tests.rig.view.replay_record import CONFIG
 from tests.rig.view.rrd_contents import column, measured, scalars
@@ -180,3 +180,8 @@ def test_a_turning_point_before_the_first_frame_is_shown(tmp_path: Path) -> None
     times_s, amplitudes, _ = measured(rrd, "/amplitude")
     assert times_s == pytest.approx([-0.003])
     assert amplitudes == pytest.approx([turn.amplitude / ARCSEC_RAD])
+
+
+def test_every_state_of_a_lane_has_its_colour() -> None:
+    states = {state for lanes in _STATES_AFTER_EVENT.values() for state in lanes.values()}
+    assert states <= _STATE_COLOURS.keys()
