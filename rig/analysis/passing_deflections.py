@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import IMAGE, REFERENCE
+from acquisition.record.topics import IMAGE, REFERENCE, WINDOW
 from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -255,7 +255,10 @@ def without_fixed_light(reader: RecordReader, config: Configuration) -> Deflecti
     # a lost spot keeps its position with an uncertainty of 1 px, so that it has hardly any weight
     for name in _POSITION_FIELDS:
         corrected[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-    outcome = "taken off" if used else "not taken off, as the record has no pixels of the spot"
+    reason = "the record has no pixels of the spot"
+    if WINDOW.topic in reader.counts:
+        reason = f"{percent(len(lost) / len(affected))} of these have no spot without it"
+    outcome = "taken off" if used else f"not taken off, as {reason}"
     measured = f"pulls {len(affected)} of {len(spots)} ({percent(len(affected) / len(spots))}), {outcome}"
     verdict = Verdict("fixed light", used, light.text, NO_STRAY_LIGHT, measured, "none")
     return DeflectionCorrection(deflection_change(config, spots, corrected), used, verdict=verdict)

@@ -12,6 +12,7 @@ from acquisition import cameras
 from acquisition.camera import CameraLost, Frame
 from acquisition.cameras.drivers import DRIVERS, settings_models
 from acquisition.cameras.reading import CameraRun
+from processing.errors import MissingPackage
 
 FRAME = Frame(np.zeros((2, 2), np.uint8), 0, -1, 0)
 
@@ -108,3 +109,13 @@ def test_settings_of_drivers_that_messages_name_exist() -> None:
 
 def fields_of(driver: str) -> set[str]:
     return {field for model in settings_models(driver) for field in model.model_fields}
+
+
+def test_a_missing_package_is_told_by_every_later_read() -> None:
+    def step(_: float) -> Frame | None:
+        raise MissingPackage("a film", "av", "video")
+
+    reading = CameraRun(step, lambda: None)
+    for _ in range(2):
+        with pytest.raises(MissingPackage, match="a film needs av, of the extra video"):
+            reading.read(0.0)
