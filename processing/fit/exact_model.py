@@ -1,4 +1,4 @@
-"""A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
+"""A law's map of half-cycles as a least-squares model of amplitudes and times, also on moving ground."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -388,7 +388,7 @@ class LawHalfSwings:
         return self._at_points[key]
 
     def through_the_decay(self, parameters: Floats) -> HalfCycleLosses | None:
-        """One half-swing at all amplitudes of the data; None if these parameters have none."""
+        """Half-cycles at all amplitudes of the data; None if the law has no decay with these parameters."""
         if not np.all(np.isfinite(parameters)):
             return None
         key = parameters[:-3].tobytes()

@@ -27,8 +27,8 @@ _MAX_LOGARITHMIC_U: Final = 3.0
 """Largest relative uncertainty by the apparatus that is added in the logarithm of a parameter."""
 _NORMAL_95: Final = 1.959964
 _MAX_NONPARABOLIC_SHIFT: Final = 0.25
-"""Largest difference of a run's limits from those of a parabola, over their half-width, at which runs have a
-mean: Student's t of ten half-cycles makes a sixth."""
+"""Largest difference between the limits of a run and those of a parabola, over their half-width, at which a
+mean of runs is formed. Student's t alone makes a sixth in a run of ten half-cycles."""
 _QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
 
 

@@ -147,7 +147,8 @@ class ClockAnchors:
 _MAX_PAIRS = 800
 """Largest number of pairs; at this number every second one is removed, also of later ones."""
 _BLOCK_FRAMES = 8
-"""Number of frames of a block that are used; more would not improve the rate."""
+"""Smallest number of frames of a long block that are used (fewer than twice as many); more would not improve
+the rate."""
 _FIRST_FIT_NS, _FIT_INTERVAL_NS = 3_000_000_000, 10_000_000_000
 """Time to the first fit, which is early so that a user sees a value, and between fits."""
 

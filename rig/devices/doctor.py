@@ -108,7 +108,9 @@ def check_trip(state: SafetyState, config_words: str) -> Verdict:
     """Verdict on the latch of trips; `config_words` name the configuration in a command."""
     trip = state.trip
     if trip is None:
-        remedy = f"look at the laser, then rig light show {config_words}: it latches the trip, and names it"
+        remedy = (
+            f"see whether the laser is lit; rig light show {config_words} then latches the trip and names it"
+        )
         return Verdict.checked("permit of light", not state.left_lit, "no trip is latched", remedy, LEFT_LIT)
     remedy = f"check that nobody is in the beam path, then rig light acknowledge {config_words} {trip.number}"
     return Verdict("permit of light", False, trip.text, remedy)

@@ -18,7 +18,7 @@ _MAX_MISSING_LIGHT = 0.1
 _MAX_FLANK_RATIO = 2.0
 """Largest ratio of the steepness of two opposite flanks."""
 _MAX_CHI2 = 4.0
-"""Chi2 per degree of freedom of a no-go: the tracker doubles u then, and a misfit that moves with the spot
+"""Chi2 per degree of freedom of a no-go: the tracker then doubles u, and a deviation that moves with the spot
 costs more.
 """
 _MAX_IMAGES = 16

@@ -1,6 +1,6 @@
 """Measurements of the balance: their checks, what they teach of the effect of turns, and advice.
 
-The history of turns and their effects is a file with a line of JSON for each checked measurement.
+The history of turns is a file with a line of JSON for each turn whose effect was learned.
 """
 
 import datetime
@@ -179,7 +179,7 @@ class BalanceMeasurement(NamedTuple):
 
 
 class LearnedTurns:
-    """States, turns and learned responses; each sound measurement appends a line of JSON to `path`.
+    """States, turns and learned responses; each turn whose effect was learned appends a line to `path`.
 
     `room` is the range of tilts on the sensor, known from the first measurement on. `checks` are those of the
     last sound measurement, `earlier_checks` those of the sound measurement before it (empty at first).

@@ -37,7 +37,7 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
     )
     contact: str = Field(default="", description="the only contact that has it; default: all have it alike")
     margin: float | None = Field(
-        default=None, gt=0, description="over the campaign's span, below which it does not matter"
+        default=None, gt=0, description="largest effect over the campaign's span that does not matter"
     )
 
     @model_validator(mode="after")
@@ -67,7 +67,7 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     """The contents of campaign.toml."""
 
     parameters: tuple[str, ...] = Field(
-        default=(), description="that are modelled; default: all that runs determine"
+        default=(), description="parameters that are modelled; default: all that runs determine"
     )
     reference_arcsec: float = Field(
         default=60.0, gt=0, description="amplitude at which b and gamma scatter, and change with covariates"
@@ -82,11 +82,11 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     change_points: tuple[str, ...] = Field(
         default=(), description="parameters that may have become other ones at some run"
     )
-    prior: dict[str, StatedLevel] = Field(default_factory=dict, description="by parameter")
+    prior: dict[str, StatedLevel] = Field(default_factory=dict, description="prior knowledge, by parameter")
     size: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]] = Field(
         default_factory=dict,
-        description="by parameter, how far an effect may move it and how far runs may scatter; of b, "
-        "c, gamma_pa as a fraction of it",
+        description="by parameter, how far an effect may move it and how far runs may scatter: for b, "
+        "c and gamma_pa a fraction of the value",
     )
 
     @model_validator(mode="after")

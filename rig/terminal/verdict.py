@@ -26,7 +26,7 @@ class Verdict:
     limit: str = ""
     """The limit of the measured value, with its unit."""
     made: bool = True
-    """Whether there was something to check; if not, `reason` says why, and `ok` is True."""
+    """Whether there was something to check; if not, `ok` is True, and `reason` or `measured` says why."""
 
     @classmethod
     def failed(cls, name: str, error: Exception, remedy: str = "") -> "Verdict":

@@ -96,8 +96,7 @@ def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
 
 def report_text(results: RunResults) -> str:
     """Results of the fits in Markdown."""
-    paragraphs = [f"## {Path(results.record).stem}"]
-    paragraphs.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
+    paragraphs = [f"## {Path(results.record).stem}", results.half_cycles_text()]
     if results.problem:
         paragraphs.append(f"no fit: {results.problem}")
     if results.fits:
