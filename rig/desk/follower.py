@@ -28,7 +28,7 @@ from rig.devices import (
     running_sessions,
 )
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
-from rig.settings import Configuration, validate_configuration, without_schema
+from rig.settings import Configuration, PreflightSettings, validate_configuration, without_schema
 
 _LOOK_INTERVAL_S = 0.2
 _SEARCH_INTERVAL_S = 1.0
@@ -191,11 +191,19 @@ class RigFollower:
             pendulum_image = newest.image[:row]
         figures = picture.figures(pendulum_image, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
-        crosshair_px = crosshair_of(newest.image, None if config is None else config.lever_reference_px)
+        crosshair_px = crosshair_of(pendulum_image, None if config is None else config.lever_reference_px)
         # the settings of this frame: those of the news may be older or newer
         applied = CameraSettings.model_validate(newest.camera["applied"])
         return AlignmentFrame(
-            newest.image, full_scale_dn, figures, newest.spot, crosshair_px, applied, newest.beam, reference
+            newest.image,
+            full_scale_dn,
+            figures,
+            newest.spot,
+            crosshair_px,
+            applied,
+            newest.beam,
+            reference,
+            PreflightSettings() if config is None else config.preflight,
         )
 
     def _follow(self) -> None:

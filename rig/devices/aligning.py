@@ -138,7 +138,7 @@ class LivePicture:
         devices, full_scale_dn = self._devices, self._opened.info.full_scale_dn
         self.news.begin_run("live picture", full_scale_dn, self._applied)
         self._publish_state()
-        trackers = optics.dual_tracker()
+        trackers, limits = optics.dual_tracker(), self._config.preflight
         with closing(devices.stream(self._config, self._opened._replace(applied=self._applied))) as stream:
             stream.start_camera()
             stream.begin()
@@ -148,7 +148,7 @@ class LivePicture:
                         raise stream.failure or DeviceError("the camera has delivered its last frame")
                     continue
                 image, reference_px = frames[-1].image, self._config.lever_reference_px
-                look = take_look(image, full_scale_dn, trackers, reference_px, self._applied)
+                look = take_look(image, full_scale_dn, trackers, reference_px, self._applied, limits)
                 reference = None if look.reference is None else look.reference.spot
                 self.news.show(image, look.spot, reference, look.beam)
                 self.note = "; ".join(text for _, text in stream.take_events()) or self.note

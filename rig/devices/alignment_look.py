@@ -68,13 +68,16 @@ class AlignmentFrame(NamedTuple):
     spot
         Fitted spot; its fields are NaN if none was found.
     crosshair_px
-        Position (x, y) at which the spot should rest: the light lever's reference, else the frame's middle.
+        Position (x, y) at which the spot should rest: the light lever's reference, else the middle of the
+        pendulum's part of the frame.
     applied
         Settings that the camera has read back.
     beam
         The verdict on the beam; None where it was not judged.
     reference
         The reference's spot, in the frame's px; None without a reference, or where it was not searched for.
+    limits
+        Limits of the peak.
     """
 
     image: Image
@@ -85,6 +88,7 @@ class AlignmentFrame(NamedTuple):
     applied: CameraSettings
     beam: Verdict | None = None
     reference: ReferenceSpot | None = None
+    limits: PreflightSettings = PreflightSettings()
 
     @property
     def has_spot(self) -> bool:
@@ -96,8 +100,7 @@ class AlignmentFrame(NamedTuple):
 
         `sharpest_per_px` is the best sharpness so far, with which the focus is compared.
         """
-        figures, limits = self.figures, PreflightSettings()
-        low, high = limits.min_peak_fraction, limits.max_peak_fraction
+        figures, low, high = self.figures, self.limits.min_peak_fraction, self.limits.max_peak_fraction
         peak_ok = low <= figures.peak <= high
         lamps = [
             Verdict(
@@ -119,7 +122,7 @@ class AlignmentFrame(NamedTuple):
         if not self.has_spot:
             remedy = "let the beam fall on the sensor"
             return [*lamps, Verdict("spot", False, remedy=remedy, measured="none found"), *reference]
-        off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
+        off_px, shortest_px = max(map(abs, self._off_px)), min(self._pendulum_shape)
         centred = off_px <= _MAX_CENTRE_DISTANCE * shortest_px
         may_swing = centred or self._edge_px >= _MIN_EDGE_DISTANCE * shortest_px
         lamps.append(
@@ -178,10 +181,14 @@ class AlignmentFrame(NamedTuple):
         return self.spot.x_px - self.crosshair_px[0], self.spot.y_px - self.crosshair_px[1]
 
     @property
+    def _pendulum_shape(self) -> tuple[int, int]:
+        """Rows and columns of the pendulum's part of the frame."""
+        rows, columns = self.image.shape
+        return rows if self.reference is None else self.reference.from_row_px, columns
+
+    @property
     def _edge_px(self) -> float:
-        height_px, width_px = self.image.shape
-        if self.reference is not None:
-            height_px = self.reference.from_row_px
+        height_px, width_px = self._pendulum_shape
         spot = self.spot
         return float(min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px))
 
@@ -191,7 +198,7 @@ def _offset(off_px: tuple[float, float], digits: int) -> str:
 
 
 def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Position (x, y) at which the spot should rest: the reference, else the middle of the frame."""
+    """Position (x, y) at which the spot should rest: the reference, else the middle of the pendulum's `image`."""
     rows, columns = image.shape
     return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
 
@@ -202,9 +209,9 @@ def take_look(
     trackers: DualSpotTracker,
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
-    limits: PreflightSettings | None = None,
+    limits: PreflightSettings,
 ) -> AlignmentFrame:
-    """The spot of a frame, with verdicts on frame and beam, by default with the preflight's default limits.
+    """The spot of a frame, with verdicts on frame and beam by the preflight's limits.
 
     Figures and beam are those of the pendulum's part of the frame.
     """
@@ -213,8 +220,7 @@ def take_look(
     pendulum_image, reference = image[:first_row], None
     if first_row is not None and references:
         reference = ReferenceSpot.in_image(references[0], first_row, image, full_scale_dn)
-    model, limits = trackers.tracker.model, limits or PreflightSettings()
-    beam = beam_quality([pendulum_image], [spot], model, full_scale_dn, limits)
+    beam = beam_quality([pendulum_image], [spot], trackers.tracker.model, full_scale_dn, limits)
     figures = picture.figures(pendulum_image, full_scale_dn)
     if beam.ok and figures.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged
@@ -224,9 +230,8 @@ def take_look(
             reason=f"{figures.saturated_px} px are saturated",
             remedy="expose shorter, or less gain",
         )
-    return AlignmentFrame(
-        image, full_scale_dn, figures, spot, crosshair_of(image, reference_px), applied, beam, reference
-    )
+    crosshair_px = crosshair_of(pendulum_image, reference_px)
+    return AlignmentFrame(image, full_scale_dn, figures, spot, crosshair_px, applied, beam, reference, limits)
 
 
 _ELLIPSE_SIGMAS = 2.0

@@ -246,7 +246,7 @@ _STATE_OF_END: dict[str, RunState] = {
 
 
 def note_recorded_end(file: SessionFile, entry: RunEntry) -> str:
-    """Save how a run has ended, by its record, if its entry says that it is being recorded.
+    """Save how a run, whose entry says that it is being recorded, has ended by its record.
 
     Returns the end in words; empty, and nothing is saved, if the run has no record or a truncated one.
     """

@@ -16,7 +16,7 @@ from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
 from rig.instrument import DualSpotTracker
-from rig.settings import Configuration, load_configuration
+from rig.settings import Configuration, PreflightSettings, load_configuration
 from rig.terminal import palette
 from tests.rig.command_line import CONFIGS
 
@@ -72,11 +72,17 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     """The pendulum's spot is found although the reference's is the brighter one."""
     image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
-    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings())
+    # the spot is as bright as the preflight of this rig allows, and no brighter
+    limits = PreflightSettings(min_peak_fraction=0.02, max_peak_fraction=0.3)
+    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings(), limits)
     assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
     assert lamps["saturated"].ok
+    assert (lamps["peak"].ok, lamps["peak"].limit) == (True, "2 to 30 %")
+    # the middle and the shorter side of the pendulum's part, which is wider than high
+    assert look.crosshair_px == (149.5, 129.5)
+    assert lamps["centring"].limit == "26 px"
     assert dict(look.rows())["nearest edge"] == "59 px"
     assert lamps["reference"].ok is ok
     assert said in lamps["reference"].line
