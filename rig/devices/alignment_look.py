@@ -198,7 +198,7 @@ def _offset(off_px: tuple[float, float], digits: int) -> str:
 
 
 def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Position (x, y) at which the spot should rest: the reference, else the middle of the pendulum's `image`."""
+    """Position (x, y) at which the spot should rest: the reference, else the pendulum `image`'s middle."""
     rows, columns = image.shape
     return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
 
