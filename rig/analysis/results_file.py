@@ -36,7 +36,7 @@ def write_results(path: str | Path, results: SessionResults) -> None:
     """Write results.json, never over an existing file.
 
     Raises ConfigurationError for an existing file, and for values that are no results; RecordError for a
-    file that cannot be translated_file_errors.
+    file that cannot be written.
     """
     if not isinstance(results, SessionResults):
         raise ConfigurationError(f"results: SessionResults are needed, not a {type(results).__name__}")
