@@ -26,9 +26,9 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 _SCHEMA = 1
-_MAX_STORE_S = 0.2
+_MAX_TRIP_WRITE_S = 0.2
 """Longest wait of a trip for the disk: the program that latches it also switches the light off."""
-_MAX_END_S = 5.0
+_MAX_EXIT_WAIT_S = 5.0
 """Longest wait, at the end of a program, for a write under way."""
 
 
@@ -60,6 +60,8 @@ class LatchedTrip:
 
 
 class _LatchEntry(BaseModel, frozen=True, extra="forbid"):
+    """A latched trip in the file."""
+
     cause: TripCause
     why: str
     lit: bool
@@ -75,7 +77,7 @@ class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
     lit: bool = False
     """True from the moment when a program lights until it has confirmed that the light is off."""
     press: str = ""
-    """Mark of the last press of LIGHT OFF that became a trip."""
+    """Time and hash of the last press of LIGHT OFF that became a trip."""
 
 
 def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path | None:
@@ -103,7 +105,7 @@ _UNKNOWN = "so the latched trip is unknown"
 
 
 def _unknown_state(why: str) -> _SafetyFile:
-    """A state that counts as latched, because its file does not tell."""
+    """A state that counts as latched, because its file cannot be read."""
     return _SafetyFile(number=1, latched=_LatchEntry(cause=TripCause.POWER, why=why, lit=True))
 
 
@@ -119,35 +121,35 @@ def _device_at(port: str) -> str:
 
 
 class SafetyState:
-    """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
+    """The latch of a rig, in its file (None: in memory); a context manager that holds the rig.
 
     `trip` may be read, and `latch` called, from any thread; neither waits for a disk that hangs. A file that
     cannot be read or is missing counts as latched, because a new rig cannot be told from one whose state was
     deleted.
     """
 
-    def __init__(self, path: Path | None = None, who: str = "") -> None:
+    def __init__(self, path: Path | None = None, holder_text: str = "") -> None:
         self.path = path
-        self._who = who
+        self._holder_text = holder_text
         self._state = _SafetyFile()
         self._state_lock, self._file_lock, self._press_lock = (threading.Lock() for _ in range(3))
         self._pending_writes: set[futures.Future[None]] = set()
         self._lock_file: IO[bytes] | None = None
         self.presses = None if path is None else Presses(path.with_suffix(".off"))
-        """Presses of LIGHT OFF, in a file beside that of the state; None without one."""
+        """Presses of LIGHT OFF, in a second file; None without a file."""
         self._new_press = self._mark = ""
         self.problem = ""
         """The reason why the last write of the state failed; else empty."""
 
     def __enter__(self) -> Self:
         if self.path is not None:
-            self._hold(self.path)
+            self._lock(self.path)
         return self
 
     def __exit__(self, *_error: object) -> None:
         if self._lock_file is not None:
-            # a trip that is being written is the next program's to know
-            futures.wait(tuple(self._pending_writes), _MAX_END_S)
+            # the next program must find a trip whose writing is under way
+            futures.wait(tuple(self._pending_writes), _MAX_EXIT_WAIT_S)
             self._lock_file.close()
             self._lock_file = None
 
@@ -169,7 +171,7 @@ class SafetyState:
         return Path(folder) if folder else None
 
     def read(self) -> None:
-        """Read the file, also without holding the rig, to show it; a missing file counts as latched."""
+        """Read the file, which needs no hold of the rig; a missing file counts as latched."""
         if self.path is None:
             return
         try:
@@ -235,10 +237,10 @@ class SafetyState:
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also if another trip is latched already.
 
-        The text of a trip contains that of a press of LIGHT OFF that was latched before it. The latch holds
-        from now on even if the file cannot be written, or has not been written after 0.2 s (that happens once
-        the disk answers); both raise DeviceError. A trip that cannot be written is left to the next program
-        as a press, which needs no space on the disk, and `keep` tries again.
+        A press of LIGHT OFF that was latched before stays in the text of the trip. The latch holds from now
+        on. Raises DeviceError if the file cannot be written, or within 0.2 s is not; the writing then goes
+        on. For a trip that cannot be written a press is noted, which needs no space on the disk, and
+        `retry_write` tries again.
         """
         with self._state_lock:
             earlier, number = self._state.latched, self._state.number + 1
@@ -277,18 +279,17 @@ class SafetyState:
         """Whether a program has lit the laser and has not confirmed since that the light is off."""
         return self._state.lit
 
-    def lit(self, lit: bool) -> None:
+    def note_light(self, is_on: bool) -> None:
         """Note that the light is on, or certainly off again; raises DeviceError if that cannot be written.
 
-        "On" is written each time, because where nothing can be written, a trip would be forgotten. It stays
-        noted after a program that was killed, or whose last trip could not be written.
+        X        must stay dark. "On" remains in the file of a program that was killed.
         """
-        if lit or lit != self._state.lit:
+        if is_on or is_on != self._state.lit:
             with self._file_lock:
-                self._write(self._state.model_copy(update={"lit": lit}))
-                self._change(lit=lit)
+                self._write(self._state.model_copy(update={"lit": is_on}))
+                self._change(lit=is_on)
 
-    def keep(self) -> None:
+    def retry_write(self) -> None:
         """Write the state again if that failed before, or if the file was deleted. Raises nothing."""
         if self.path is not None and (self.problem or not self.path.exists()):
             with suppress(DeviceError):
@@ -322,7 +323,7 @@ class SafetyState:
         self._pending_writes.add(future)
         future.add_done_callback(self._pending_writes.discard)
         try:
-            future.result(_MAX_STORE_S)
+            future.result(_MAX_TRIP_WRITE_S)
         except TimeoutError:
             self.problem = f"{self.path}: the rig's state is not written yet: the disk hangs"
             raise DeviceError(self.problem) from None
@@ -338,7 +339,7 @@ class SafetyState:
                 raise DeviceError(self.problem) from None
         self.problem = ""
 
-    def _hold(self, path: Path) -> None:
+    def _lock(self, path: Path) -> None:
         if fcntl is None:
             self.read()
             return
@@ -366,6 +367,6 @@ class SafetyState:
             # the file is written before the lock, so that a missing file later means a deleted one
             self._write_state()
         lock_file.truncate(0)
-        lock_file.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())
+        lock_file.write(f"process {os.getpid()}{self._holder_text and f' ({self._holder_text})'}".encode())
         lock_file.flush()
         self._lock_file = lock_file

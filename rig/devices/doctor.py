@@ -43,7 +43,10 @@ _MAX_RATE_ERROR = 0.1
 the rate by the camera's own clock with a narrower limit."""
 _MIN_FREE_BYTES = 2e9
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+_FREQUENCY_DRIVER = _GOVERNOR.with_name("scaling_driver")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_OWN_GOVERNORS = {"intel_pstate", "amd-pstate-epp"}
+"""Frequency drivers with governors of their own, by Linux's documentation of both."""
 _STEADY_CLOCK_SOURCES = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
 
 
@@ -83,7 +86,7 @@ def _checks(original: Configuration) -> Iterator[Verdict]:
                 yield replace(verdict, remedy=remedy)
             yield from check_laser(config.laser)
     except DeviceError as error:
-        yield Verdict.failed("controller and laser", error, "end that program, or ask it")
+        yield Verdict.failed("controller and laser", error, "end that program, or use its window")
     if config.controller.kind == "none":
         for key, value, is_needed in (
             ("start.way", config.start.way, config.start.by_controller),
@@ -101,7 +104,7 @@ def _checks(original: Configuration) -> Iterator[Verdict]:
     yield from check_camera(config, devices)
     yield check_disk(config.session.output)
     yield check_clock(_read(_CLOCK_SOURCE))
-    yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
+    yield check_governor(_read(_GOVERNOR), _read(_FREQUENCY_DRIVER), os.cpu_count() or 1)
 
 
 def check_trip(state: SafetyState, config_words: str) -> Verdict:
@@ -109,11 +112,12 @@ def check_trip(state: SafetyState, config_words: str) -> Verdict:
     trip = state.trip
     if trip is None:
         remedy = (
-            f"see whether the laser is lit; rig light show {config_words} then latches the trip and names it"
+            f"see whether the laser is lit; rig light show {config_words} then latches a trip and prints its "
+            "number"
         )
-        return Verdict.checked("permit of light", not state.left_lit, "no trip is latched", remedy, LEFT_LIT)
+        return Verdict.checked("latched trip", not state.left_lit, "no trip is latched", remedy, LEFT_LIT)
     remedy = f"check that nobody is in the beam path, then rig light acknowledge {config_words} {trip.number}"
-    return Verdict("permit of light", False, trip.text, remedy)
+    return Verdict("latched trip", False, trip.text, remedy)
 
 
 def check_settings(config: Configuration, original: Configuration) -> Iterator[Verdict]:
@@ -200,7 +204,7 @@ def check_frames(
     if ok and requested_hz is not None and abs(rate_hz / requested_hz - 1) > _MAX_RATE_ERROR:
         slow = "exposure too long, or the bus too slow: a shorter exposure, a smaller region, another port"
         fast = "the camera does not keep the rate: check it with rig camera show"
-        result += f"; {requested_hz:g} were asked for"
+        result += f"; {requested_hz:g} were requested"
         return Verdict("frames", False, result, slow if rate_hz < requested_hz else fast)
     return Verdict("frames", ok, result, remedy)
 
@@ -226,11 +230,13 @@ def check_clock(source: str) -> Verdict:
     return Verdict.checked("clock", steady, f"the computer's time is from {source}", remedy)
 
 
-def check_governor(governor: str, processors: int) -> Verdict:
+def check_governor(governor: str, driver: str, processors: int) -> Verdict:
     """Verdict on the frequency governor, which must not slow the processor down while frames arrive."""
     if not governor:
         return Verdict("processor", True, f"{processors} cores; no frequency governor")
-    ok = governor not in {"powersave", "conservative"}
+    # these drivers call the governor powersave that raises the frequency with the load
+    is_dynamic = governor == "powersave" and driver in _OWN_GOVERNORS
+    ok = is_dynamic or governor not in {"powersave", "conservative"}
     remedy = "cpupower frequency-set -g performance"
     return Verdict.checked("processor", ok, f"{processors} cores, governor {governor}", remedy)
 
@@ -288,8 +294,8 @@ RULES_FOLDER = Path("/etc/udev/rules.d")
 _RULES_FILE = "70-optical-pendulum-rig.rules"
 _RULE_ACCESS = 'MODE="0660", TAG+="uaccess"'
 _RULES_HEAD = """\
-# Devices of an optical pendulum rig, written by rig doctor --install-udev: whoever sits at the computer may
-# use them, and so may a group, for services and remote users.
+# Devices of an optical pendulum rig, written by rig doctor --install-udev: the user at the computer may use
+# them, and so may a group, for services and remote users.
 # The number must stay below 73, where systemd grants what the tag "uaccess" asks for."""
 
 

@@ -143,7 +143,7 @@ class LitDevices:
     def _note_lit(self) -> None:
         """Note the light in the rig's state; LightRefused if that fails, as a trip would be forgotten."""
         try:
-            self.state.lit(True)
+            self.state.note_light(True)
         except DeviceError as error:
             self.audit(AuditEntry.REFUSED, str(error))
             raise LightRefused(f"the laser stays off: {error}") from None
@@ -176,13 +176,13 @@ class LitDevices:
         if self.permit.latched is None:
             self.permit.trip(TripCause.WATCHDOG, LEFT_LIT)
         with suppress(DeviceError):
-            self.state.lit(False)
+            self.state.note_light(False)
 
     def obey_presses(self) -> None:
         """Switch off and latch a trip after a press of LIGHT OFF that is noted beside the rig's state."""
         if self.permit.look_for_presses():
             self._command_off()
-        self.state.keep()
+        self.state.retry_write()
 
     def _command_off(self) -> None:
         """Command controller and laser off, before all waiting commands; never blocks."""
@@ -343,7 +343,7 @@ class LitDevices:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look", interrupt
         with suppress(DeviceError):
             # if this fails, the next program finds the light noted as on, and latches a trip
-            self.state.lit(False)
+            self.state.note_light(False)
         if not switches:
             return SWITCHED_BY_HAND, interrupt
         confirming = [who for who, _, _ in switches] + ["camera"] * self.permit.spot.confirms

@@ -245,7 +245,7 @@ class Program(Devices):
                 if service is not None:
                     service._finish()
             with suppress(DeviceError):
-                self.state.lit(False)
+                self.state.note_light(False)
         self._closing.close()
 
 

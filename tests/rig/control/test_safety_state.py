@@ -223,7 +223,7 @@ def full(path: Path) -> Iterator[Path]:
 def test_on_a_full_disk_nothing_is_lit_and_no_trip_is_forgotten(full: Path, by: str) -> None:
     with SafetyState(full) as state:
         with pytest.raises(DeviceError, match="the rig's state cannot be written: No space left"):
-            state.lit(True)
+            state.note_light(True)
         if by == "the program":
             with pytest.raises(DeviceError, match="cannot be written"):
                 state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
@@ -249,7 +249,7 @@ def test_on_a_full_disk_nothing_is_lit_and_no_trip_is_forgotten(full: Path, by: 
 def test_what_cannot_be_written_holds_and_is_written_later(path: Path) -> None:
     with SafetyState(path) as state:
         # noted already, and to be noted again all the same
-        state.lit(True)
+        state.note_light(True)
         path.unlink()
         path.mkdir()
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
@@ -257,9 +257,9 @@ def test_what_cannot_be_written_holds_and_is_written_later(path: Path) -> None:
         assert "cannot be written" in state.problem
         assert state.trip is not None
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
-            state.lit(True)
+            state.note_light(True)
         path.rmdir()
-        state.keep()
+        state.retry_write()
         assert state.problem == ""
     with SafetyState(path) as state:
         assert state.trip is not None
@@ -286,7 +286,7 @@ def test_an_acknowledgement_that_cannot_be_kept_is_none(path: Path) -> None:
         for _ in range(2):
             # a second try must not take the first one for done
             with pytest.raises(DeviceError, match="the rig's state cannot be written"):
-                state.lit(True)
+                state.note_light(True)
         path.rmdir()
 
 
@@ -320,7 +320,7 @@ def test_each_rig_has_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_what_is_written_is_what_is_read(path: Path) -> None:
     with SafetyState(path) as state:
-        state.lit(True)
+        state.note_light(True)
         state.latch(TripCause.WATCHDOG, "lost", lit=True)
     stored = json.loads(path.read_text())
     assert (stored["schema_number"], stored["number"], stored["lit"]) == (1, 1, True)
@@ -356,7 +356,7 @@ def test_a_trip_holds_at_once_while_the_disk_hangs_and_is_written_when_it_answer
 ) -> None:
     with SafetyState(path) as state:
         disk = HangingDisk(monkeypatch)
-        noted = run_in_thread(state.lit, True)
+        noted = run_in_thread(state.note_light, True)
         assert disk.asked.wait(10.0)
         tripped = run_in_thread(state.latch, TripCause.INTERLOCK, "it opened", True)
         with pytest.raises(DeviceError, match="the disk hangs"):
@@ -380,7 +380,7 @@ def test_an_acknowledgement_during_which_another_trip_comes_is_none(
         state.latch(TripCause.INTERLOCK, "it opened", lit=True)
         disk = HangingDisk(monkeypatch)
         if waits:
-            run_in_thread(state.lit, True)
+            run_in_thread(state.note_light, True)
             assert disk.asked.wait(10.0)
         acknowledged = run_in_thread(state.acknowledge, 1)
         assert disk.asked.wait(10.0)

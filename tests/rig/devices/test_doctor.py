@@ -4,7 +4,7 @@ import pytest
 
 from acquisition.camera import CameraStatus
 from rig.control import SafetyState, TripCause
-from rig.devices.doctor import check_frames, check_settings, check_trip
+from rig.devices.doctor import check_frames, check_governor, check_settings, check_trip
 from rig.instrument import complete
 from rig.settings import Configuration, validate_configuration
 
@@ -20,7 +20,7 @@ def arrivals(rate_hz: float, count: int = 60) -> list[tuple[int, int]]:
     ("came", "status", "asked_hz", "on_demand", "ok", "said"),
     [
         (arrivals(99.0), ALL, 100.0, False, True, "60 at 99 frames/s, lost: none"),
-        (arrivals(50.0), ALL, 100.0, False, False, "; 100 were asked for; exposure too long"),
+        (arrivals(50.0), ALL, 100.0, False, False, "; 100 were requested; exposure too long"),
         (arrivals(6000.0), ALL, 100.0, False, False, "rig camera show"),
         (arrivals(50.0), ALL, None, False, True, "60 at 50 frames/s"),
         (arrivals(6000.0), ALL, 100.0, True, True, "60, made on demand: no rate to judge, lost: none"),
@@ -61,9 +61,25 @@ def test_what_is_not_stated_is_not_called_stated() -> None:
 def test_a_trip_and_a_laser_that_was_left_lit_are_named() -> None:
     state = SafetyState()
     assert check_trip(state, "mine.toml").ok
-    state.lit(True)
+    state.note_light(True)
     assert "that had lit the laser was killed" in check_trip(state, "mine.toml").reason
     state.latch(TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
     found = check_trip(state, "mine.toml")
     assert (found.ok, found.reason) == (False, "trip 1 (INTERLOCK): the interlock of the laser opened")
     assert "rig light acknowledge mine.toml 1" in found.remedy
+
+
+@pytest.mark.parametrize(
+    ("governor", "driver", "ok"),
+    [
+        ("powersave", "acpi-cpufreq", False),
+        ("powersave", "intel_pstate", True),
+        ("powersave", "amd-pstate-epp", True),
+        ("conservative", "intel_cpufreq", False),
+        ("schedutil", "acpi-cpufreq", True),
+    ],
+)
+def test_a_governor_that_keeps_the_processor_slow_is_a_fault(governor: str, driver: str, ok: bool) -> None:
+    """With drivers that have governors of their own, powersave is the dynamic one that laptops come with."""
+    verdict = check_governor(governor, driver, 4)
+    assert (verdict.ok, governor in verdict.line) == (ok, True)
