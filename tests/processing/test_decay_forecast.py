@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -13,18 +14,12 @@ from hypothesis import strategies as st
 from acquisition.simulation.settings import ContactTruth, GroundTruth, SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.decay_summary import forecast
-
-ARCSEC = math.pi / 648000
-PAIRS = {
-    "glass": {},
-    "silicon": {"b": 7.06e-4, "p": 0.815, "c": 3.84e-9, "n": 0.552, "period0_s": 4.072, "gamma_pa": 290.69e6},
-    "steel": {"b": 7.961e-4, "p": 0.85, "c": 6.601e-9, "n": 0.461, "period0_s": 4.049, "gamma_pa": 95.46e6},
-}
+from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
 
-@pytest.mark.parametrize("pair", list(PAIRS))
+@pytest.mark.parametrize("pair", PAIRS)
 def test_the_end_lies_within_three_uncertainties_from_early_on(pair: str) -> None:
-    truth = true_turning_points(SimulationSettings(contact=ContactTruth(**PAIRS[pair])), 2.0)
+    truth = true_turning_points(SimulationSettings(contact=ContactTruth(**asdict(paper_pair(pair)[0]))), 2.0)
     u = np.full(len(truth.time_s), 0.005 * ARCSEC)
     noise = np.random.default_rng(8).normal(0.0, 0.005 * ARCSEC, len(u))
     amplitudes = np.abs(truth.angle_rad) + noise

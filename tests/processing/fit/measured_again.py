@@ -5,33 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit.exact import fit_exact
 from processing.fit.refinement import known_motion, second_measurement
 from processing.swing import HalfCycle, turning_points
-from tests.processing.swing.truth import BALL_RADIUS_M, CONTACTS, GRAVITY, MASS_KG, PX_PER_RAD, Record
+from tests.processing.fit.decays import paper_pair
+from tests.processing.swing.truth import PX_PER_RAD, Record
 
 NOISE_RAD = 0.02 / PX_PER_RAD
 
 
-def contact_truth(contact: str) -> tuple[ContactParameters, PendulumOnBall]:
-    """What `contact_decay` swings by."""
-    b, p, c, n, period0_s, gamma, radius = CONTACTS[contact]
-    return ContactParameters(b, p, c, n, period0_s, gamma), PendulumOnBall(
-        MASS_KG, BALL_RADIUS_M, radius, GRAVITY
-    )
-
-
 def in_rad(record: Record) -> Record:
     """A record in px as one in rad."""
-    return Record(
-        record.times_ns,
-        record.deflection / PX_PER_RAD,
-        record.u_deflection / PX_PER_RAD,
-        record.turn_time_s,
-        record.turn_amplitude / PX_PER_RAD,
-    )
+    in_px = ("deflection", "u_deflection", "turn_amplitude")
+    return replace(record, **{name: getattr(record, name) / PX_PER_RAD for name in in_px})
 
 
 def noisy(clean: Record, seed: int) -> Record:
@@ -47,7 +34,7 @@ def noisy(clean: Record, seed: int) -> Record:
 
 def again_with_fit(record: Record, swings: list[HalfCycle], contact: str) -> list[HalfCycle]:
     """The same swings, measured again on the motion of the exact fit to them."""
-    pendulum = contact_truth(contact)[1]
+    pendulum = paper_pair(contact)[1]
     exact = fit_exact(turning_points(swings), pendulum)
     motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
     return second_measurement(swings, in_blocks(record), motion)

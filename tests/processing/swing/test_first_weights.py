@@ -58,18 +58,8 @@ def test_a_quiet_record_stays_as_it_is() -> None:
 def swing(index: int, u_amplitude: float, u_time_s: float, flags: int = 0) -> HalfCycle:
     """A half-cycle of a falling amplitude."""
     half_s = np.nan if index == 0 else 2.0
-    return HalfCycle(
-        index,
-        2_000_000_000 * index,
-        u_time_s,
-        100.0 / (1 + index),
-        u_amplitude,
-        half_s,
-        u_time_s,
-        0.0,
-        1,
-        flags,
-    )
+    of_turn = (2_000_000_000 * index, u_time_s, 100.0 / (1 + index), u_amplitude)
+    return HalfCycle(index, *of_turn, half_s, u_time_s, 0.0, 1, flags)
 
 
 def test_time_counts_by_the_arc_and_nothing_becomes_smaller_or_later() -> None:
