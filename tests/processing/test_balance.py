@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from processing.balance import (
@@ -69,7 +69,7 @@ def deviations(b: Balance) -> list[float]:
 
 @pytest.mark.slow
 def test_values_and_uncertainties() -> None:
-    runs = 12
+    runs = 6
     # every second estimate: neighbours share samples
     table = np.array([[deviations(b) for b in estimates(motion(seed))[7::2]] for seed in range(runs)])
     table = table.reshape(-1, table.shape[-1])
@@ -100,7 +100,8 @@ MOTION = motion(3, 40.0)
 WHOLE = estimates(MOTION, block=10**6)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
+@example([*range(len(MOTION))])
 @given(st.lists(st.integers(0, len(MOTION)), max_size=20))
 def test_blocks_do_not_matter(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(MOTION)]
@@ -111,12 +112,12 @@ def test_blocks_do_not_matter(cuts: list[int]) -> None:
     assert repr(found) == repr(WHOLE)
 
 
-def test_single_samples() -> None:
-    assert repr(estimates(MOTION, block=1)) == repr(WHOLE)
-
-
-def test_high_frame_rate_is_as_good() -> None:
-    found = estimates(motion(4, 40.0, 500.0))
+@pytest.mark.parametrize(("frames_per_s", "lost"), [(500.0, slice(0)), (100.0, slice(1000, 1400))])
+def test_a_high_frame_rate_and_lost_spots_are_as_good(frames_per_s: float, lost: slice) -> None:
+    deflections = motion(6, 40.0, frames_per_s)
+    deflections.x[lost] = np.nan
+    found = estimates(deflections)
+    assert len(found) >= 7
     assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
 
 
@@ -138,14 +139,6 @@ def test_rest_then_swing_then_rest() -> None:
     assert len(times) > 4
     assert min(times) > 14.0
     assert max(times) < 47.0
-
-
-def test_lost_spots() -> None:
-    deflections = motion(6, 40.0)
-    deflections.x[1000:1400] = np.nan
-    found = estimates(deflections)
-    assert len(found) >= 7
-    assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
 
 
 @pytest.mark.slow
