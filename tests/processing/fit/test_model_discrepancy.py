@@ -26,8 +26,8 @@ from processing.fit import (
 )
 from processing.series import combine_runs
 from processing.swing import TurningPoints
-from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
-from tests.processing.fit.driven import World, changing_path
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import World, changing_decay
 
 DRAG_S, Q = 1.7e-3, 1e-9
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
@@ -37,9 +37,7 @@ KNOWN = Evidence(drag_s=Estimate(DRAG_S, 2e-5))
 
 @cache
 def decay(world: World, seed: int = 1, q: float = Q) -> TurningPoints:
-    time, turn, _ = changing_path(PARAMETERS, PENDULUM, world, q=q, seed=seed)
-    noise = np.random.default_rng([seed, 77])
-    return with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, noise)
+    return changing_decay(PARAMETERS, PENDULUM, world, q=q, seed=seed)
 
 
 @cache
@@ -49,12 +47,6 @@ def fitted(world: World, seed: int = 1, q: float = Q) -> FitResult:
 
 OTHER_AIR = World(drag32=0.0151)
 """Its drag goes with the 3/2 power of the velocity."""
-
-
-def against_law_of(points: TurningPoints, fit: FitResult) -> float:
-    discrepancy = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)).discrepancy
-    assert discrepancy is not None
-    return discrepancy.against_law
 
 
 def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
@@ -70,7 +62,6 @@ def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) ->
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points, fit = decay(world), fitted(world)
     described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
-    assert described.discrepancy is not None
     assert described.discrepancy.seen
     b, u = described.estimate("b")
     assert b == fit.estimate("b").value
@@ -79,8 +70,6 @@ def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     assert any("does not describe" in warning for warning in described.warnings)
     # the profile, which bounds and intervals come from, knows it, too
     at = described.names.index("b")
-    assert described.u_inflation is not None
-    assert fit.u_inflation is not None
     assert described.u_inflation[at] / fit.u_inflation[at] == pytest.approx(u / fit.standard_uncertainty[at])
 
 
@@ -89,7 +78,6 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((1, 0.0), (2, 8e-9)):
         points, fit = decay(World(), seed, q), fitted(World(), seed, q)
         described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
-        assert described.discrepancy is not None
         assert not described.discrepancy.seen
         assert not replace(described.discrepancy, against_law=9.9).seen
         assert replace(described.discrepancy, against_law=10.1).seen
@@ -115,7 +103,6 @@ def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
     assert added == pytest.approx(described.covariance_by(DISCREPANCY)[at, at])
     with pytest.raises(DataError):
         LinearisedFit.of(points, PENDULUM, other)
-    assert described.discrepancy is not None
     # a smooth error of the law is no slip
     assert changes_of(points, fit, described.discrepancy.against_law) == ()
 
@@ -123,8 +110,8 @@ def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
 def test_a_slip_is_found_and_dated() -> None:
     slipped = World(event_s=300.0, slip=0.05)
     points, fit = decay(slipped), fitted(slipped)
-    against_law = against_law_of(points, fit)
-    found = changes_of(points, fit, against_law)
+    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
+    found = changes_of(points, fit, described.discrepancy.against_law)
     assert [change.kind for change in found] == [ChangeKind.FRICTION]
     assert found[0].time_s == pytest.approx(300.0, abs=15.0)
     assert found[0].size == pytest.approx(0.05, abs=0.006)
