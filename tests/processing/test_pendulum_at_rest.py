@@ -12,11 +12,10 @@ from processing.units import ARCSEC_RAD
 PERIOD_S, FRAMES_PER_S, STEPS = 4.08, 25.0, 4
 Q = 1e-7
 READING_RAD = 0.005 * ARCSEC_RAD
+Shaken = tuple[Floats, Floats, Floats]
 
 
-def shaken(
-    seconds: float, seeds: int, q: float = Q, reading_rad: float = READING_RAD
-) -> tuple[Floats, Floats, Floats]:
+def shaken(seconds: float, seeds: int, q: float = Q, reading_rad: float = READING_RAD) -> Shaken:
     """Times of frames, (seeds, frames) deflections, (seeds, frames) means of the drive, rad/s^2.
 
     Of pendulums that have been driven long enough to be steady.
@@ -76,15 +75,13 @@ def judged(
 
 
 @pytest.fixture(scope="module")
-def minutes() -> tuple[Floats, Floats, Floats]:
+def minutes() -> Shaken:
     return shaken(60.0, 30)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "late_s"), [(0.1, 0.0), (1.0, 0.4)])
-def test_the_factor_lies_within_its_bounds(
-    minutes: tuple[Floats, Floats, Floats], noise: float, late_s: float
-) -> None:
+def test_the_factor_lies_within_its_bounds(minutes: Shaken, noise: float, late_s: float) -> None:
     found = judged(*minutes, noise, late_s=late_s)
     true = np.sqrt(1 + 1 / noise**2)
     assert np.mean([one.related for one in found]) > (0.99 if noise < 1 else 0.8)
@@ -101,18 +98,14 @@ def test_the_factor_lies_within_its_bounds(
 
 
 @pytest.mark.slow
-def test_unrelated_records_agree_by_chance_as_often_as_is_stated(
-    minutes: tuple[Floats, Floats, Floats],
-) -> None:
+def test_unrelated_records_agree_by_chance_as_often_as_is_stated(minutes: Shaken) -> None:
     time_s, seen, drive = minutes
     found = judged(time_s, seen, np.roll(drive, 1, axis=0), 0.0)
     assert np.mean([one.related for one in found]) <= 0.1
     assert np.median([one.lower_95 for one in found]) == 1.0
 
 
-def test_two_components_tell_together_what_neither_does_and_a_gap_costs_its_periods(
-    minutes: tuple[Floats, Floats, Floats],
-) -> None:
+def test_two_components_tell_together_what_neither_does_and_a_gap_costs_its_periods(minutes: Shaken) -> None:
     time_s, (seen, *_), (drive, *_) = minutes
     other = np.roll(drive, 700) * 2
     both = np.column_stack([drive + other, drive - other])
@@ -132,7 +125,7 @@ def test_two_components_tell_together_what_neither_does_and_a_gap_costs_its_peri
     assert gapped.coherence > 0.9
 
 
-def test_what_cannot_be_judged_is_said(minutes: tuple[Floats, Floats, Floats]) -> None:
+def test_what_cannot_be_judged_is_said(minutes: Shaken) -> None:
     time_s, seen, drive = minutes
     with pytest.raises(DataError, match="s of the pendulum at rest are too short"):
         drive_at_rest(np.linspace(0.0, 4.0, 100), np.zeros(100))

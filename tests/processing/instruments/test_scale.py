@@ -41,13 +41,11 @@ def test_damping_time_scatters_as_claimed_where_friction_is_constant() -> None:
     def reduce(points: TurningPoints) -> DampingTime:
         return damping(points, 12 * DEGREE_RAD, 4 * DEGREE_RAD)
 
-    times_s = [
-        reduce(scaled(falling_evenly(), 1 + u_scale * error)).time_s.value
-        for error in random.normal(size=400)
-    ]
+    errors = u_scale * random.normal(size=200)
+    times_s = [reduce(scaled(falling_evenly(), 1 + error)).time_s.value for error in errors]
     claimed = with_shared(reduce, falling_evenly(), [SharedError("arm", scale=u_scale)])[0].time_s
-    # the standard deviation of 400 values is known to 1/sqrt(800) = 3.5 %
-    assert np.std(times_s, ddof=1) == pytest.approx(claimed.standard_uncertainty, rel=0.11)
+    # the standard deviation of 200 values is known to 1/sqrt(400) = 5 %
+    assert np.std(times_s, ddof=1) == pytest.approx(claimed.standard_uncertainty, rel=0.15)
 
 
 def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
@@ -55,7 +53,6 @@ def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
     found = with_shared(
         lambda at: rolling_friction(at, Estimate(0.02, 0.0), Estimate(0.002, 0.0)), points, [SCALE]
     )[0]
-    assert found.coefficient is not None
     # the loss goes as 1 - cos of the amplitudes over their path: by the first power of the scale
     assert found.coefficient.standard_uncertainty / found.coefficient.value == pytest.approx(0.01, rel=0.05)
     longer_s = np.cumsum(np.gradient(points.time_s) * points.amplitude**2 / 16)

@@ -24,7 +24,7 @@ from tests.processing.spot.frames import (
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 Make = Callable[[float, float, np.random.Generator], Image]
 N = 96
-FRAMES = 100
+FRAMES = 60
 
 
 def run(
@@ -266,7 +266,7 @@ def test_noise_alone_is_no_spot_and_a_faint_spot_is_one(read_noise_e: float) -> 
     sensor = SensorModel(1.0, read_noise_e, 4095, pedestal_dn=400.0)
     sigma_dn = math.sqrt(sensor.dark_variance_dn2)
     found = []
-    for _ in range(40):
+    for _ in range(20):
         dark = 400 + sigma_dn * rng.standard_normal((60, 80))
         assert SpotTracker(sensor).track(np.rint(dark).astype(np.uint16)).flags & SpotFlag.LOST
         lit = dark + light((60, 80), 40.3, 30.6, 4.0, 5 * sigma_dn)
