@@ -86,7 +86,7 @@ def test_a_learned_profile_leaves_them_out_too() -> None:
     extra = warm(rng)
     tracker = SpotTracker(sensors(extra)[1])
     spots, truth = [], []
-    for k in range(360):
+    for k in range(300):
         x, y = place(k)
         beam = light(SHAPE, x, y, 5, 120) + light(SHAPE, x + 4, y - 3, 8, 40)
         spot = tracker.track(exposed(beam + 30 * extra, rng, sensor=LIT_EIGHT_BIT))
