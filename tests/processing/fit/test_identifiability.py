@@ -86,7 +86,7 @@ def test_the_cost_of_a_fit_with_anothers_noise_is_that_of_its_values(seed: int) 
 def test_the_uncertainty_of_a_drag_agrees_with_its_test_along_a_curved_valley() -> None:
     """Turning points alone: by the curvature of chi2 this drag lies 5 u from none, by its rise 1 u."""
     parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=3)
+    points = driven_decay(parameters, pendulum, q=0.0, noise_arcsec=0.05, seed=3)
     fit = fit_exact(points, pendulum, drag=True, averaged=False)
     value, u = fit.estimate("drag_s")
     assert value > 4 * u
@@ -111,9 +111,7 @@ def test_a_decay_in_which_a_drag_could_be_all_of_the_friction_is_open_without_a_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of 35 half-cycles a fit with a drag ended at 0.002(59) s, 35 times the air's, and said that none is."""
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)
-    vacuum = fit_exact(points, pendulum)
+    _, pendulum, points, vacuum = fitted("glass_k8", 0.005, 1, 100.0)
     monkeypatch.setattr("processing.fit.drag.fit_exact", pytest.fail)
     verdict = drag_verdict(points, pendulum, vacuum)
     assert verdict.finding is DragFinding.OPEN
@@ -207,13 +205,10 @@ def test_a_refit_that_was_given_up_is_no_limit() -> None:
     profile = profile_likelihood(points, pendulum, result, "b")
     assert not profile.upper < parameters.b
     assert not profile.lower > parameters.b
-    rise = np.sqrt(profile.trace[:, 1]) / stdtrit(result.dof, 0.975)
-    for limit in (profile.lower, profile.upper):
-        if np.isfinite(limit):
-            before, beyond = (rise[profile.trace[:, 0] <= limit], rise[profile.trace[:, 0] >= limit])
-            inner = beyond[0] if limit == profile.lower else before[-1]
-            # where a limit is, chi2 has risen by what 95 % asks, and does not leap there from less
-            assert inner > 0.9
+    value, rise = profile.trace.T
+    inner = [rise[value >= profile.lower][:1], rise[value <= profile.upper][-1:]]
+    # where a limit is, chi2 has risen by what 95 % asks, and does not leap there from less
+    assert np.all(np.sqrt(np.concatenate(inner)) > 0.9 * stdtrit(result.dof, 0.975))
 
 
 def test_a_refit_that_went_astray_neither_ends_a_profile_nor_bounds_it() -> None:

@@ -118,11 +118,11 @@ def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
     ]
 
 
-@pytest.mark.parametrize("dated", [20, 22])
+@pytest.mark.parametrize("dated", [20, 23])
 def test_a_knock_that_moves_the_rest_position_ends_the_fit(dated: int) -> None:
     """Across a step of 2 arcsec at 28, c lay 6.5 u off in frames of a base that tilted.
 
-    Where disturbed half-cycles hid its own, two of those after it were taken for those before it.
+    Where disturbed half-cycles hid its own, those after it were taken for those before it.
     """
     found, line = up_to_rest_step(half_cycles(2.0, 20), [dated])
     assert [swing.flags for swing in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
@@ -156,6 +156,8 @@ def test_a_knock_before_ten_half_cycles_leaves_out_those_before_it() -> None:
 def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
     swings = half_cycles(0.2, 20)
     assert up_to_rest_step(swings, [20]) == (swings, "")
+    # no knock is dated so late
+    assert up_to_rest_step(half_cycles(2.0, 20), [24])[1] == ""
     assert up_to_rest_step(half_cycles(2.0, 20), []) == (half_cycles(2.0, 20), "")
     # a position that wanders by as much as it seems to step
     wandering = [

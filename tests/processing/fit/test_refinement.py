@@ -1,11 +1,12 @@
 """Turning points determined with the fitted motion reach the Cramer-Rao bound and are independent."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from processing.deflections import slow_deflections
+from processing.deflections import Deflections, slow_deflections
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.evidence import Evidence
@@ -24,10 +25,29 @@ from processing.swing import estimate_scatter, half_cycles_of_blocks, turning_po
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
-from tests.processing.fit.measured_again import again_with_fit, in_blocks, in_rad, noisy
-from tests.processing.swing.truth import Record, contact_decay, detect, errors, rms
+from tests.processing.swing.truth import PX_PER_RAD, Record, contact_decay, detect, errors, rms
 
 EARLY = 40
+NOISE_RAD = 0.02 / PX_PER_RAD
+
+
+def in_rad(record: Record) -> Record:
+    """A record in px as one in rad."""
+    in_px = ("deflection", "u_deflection", "turn_amplitude")
+    return replace(record, **{name: getattr(record, name) / PX_PER_RAD for name in in_px})
+
+
+def noisy(clean: Record, seed: int) -> Record:
+    """A record in rad with noise of 0.02 px."""
+    noise = np.random.default_rng([seed, 404]).standard_normal(len(clean.deflection))
+    return replace(clean.plus(NOISE_RAD * noise), u_deflection=np.full(len(noise), NOISE_RAD))
+
+
+def in_blocks(record: Record) -> Iterator[Deflections]:
+    """The samples of a record, 1,000 at a time."""
+    for first in range(0, len(record.times_ns), 1000):
+        part = slice(first, first + 1000)
+        yield slow_deflections(record.times_ns[part], record.deflection[part], record.u_deflection[part])
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +76,10 @@ def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
     for seed in range(3):
         record = noisy(glass, seed)
         swings = detect(record)
-        again = again_with_fit(record, swings, "glass_k8")
+        pendulum = paper_pair("glass_k8")[1]
+        exact = fit_exact(turning_points(swings), pendulum)
+        motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
+        again = second_measurement(swings, in_blocks(record), motion)
         assert measurement_shift(swings, again).complete
         for found, shifts in ((errors(record, swings), detected), (errors(record, again), measured_again)):
             early = (found.index > 0) & (found.index <= EARLY)
