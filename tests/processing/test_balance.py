@@ -145,7 +145,7 @@ def test_rest_then_swing_then_rest() -> None:
 def test_memory_stays_flat() -> None:
     estimator = BalanceEstimator()
     sizes = []
-    for k in range(20):
+    for k in range(12):
         t = (np.arange(2000) + 2000 * k) * 0.01
         y = 100.0 * np.cos(1.5 * t)
         times_ns = np.round(t * 1e9).astype(np.int64)

@@ -43,7 +43,7 @@ def shaken(seconds: float, seeds: int, q: float = Q, reading_rad: float = READIN
 
 def test_the_drive_comes_out_within_what_is_stated() -> None:
     q = 2e-8
-    times_s, seen, _ = shaken(60.0, 40, q)
+    times_s, seen, _ = shaken(60.0, 25, q)
     found = [drive_at_rest(times_s, one) for one in seen]
     value, u = np.array([tuple(one.density) for one in found]).T
     seen_to_move = value > 0

@@ -58,10 +58,9 @@ def agrees(e: Errors, largest: float) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contact", ["glass_k8", "steel"])
-def test_a_strong_drive_is_motion_not_vibration(contact: str) -> None:
+def test_a_strong_drive_is_motion_not_vibration() -> None:
     """3e-7 rad/s^2/sqrt(Hz): the driven motion is 0.3 arcsec rms, and all swings are above 2 arcsec."""
-    record = driven(contact, 3e-7, 1)
+    record = driven("glass_k8", 3e-7, 1)
     e = errors(record, detect(record))
     assert len(e) >= 0.98 * len(record.turn_time_s)
     assert agrees(e, 1.5)

@@ -72,15 +72,15 @@ def deviations(modes: TwoModes) -> list[float]:
 
 
 def test_values_and_uncertainties() -> None:
-    runs = 60
+    runs = 40
     # twelve frames a second are ten in a period of the fast mode
     rows = [
         deviations(separated(*motion(np.random.default_rng([seed, 41]), 12.0 if seed % 4 == 0 else 100.0)))
         for seed in range(runs)
     ]
     table = np.array(rows)
-    # rms of 60 normal deviates: 1 +- 0.09
-    assert np.sqrt((table**2).mean(axis=0)) == pytest.approx(np.ones(table.shape[1]), abs=4.5 * 0.09)
+    # rms of 40 normal deviates: 1 +- 0.11
+    assert np.sqrt((table**2).mean(axis=0)) == pytest.approx(np.ones(table.shape[1]), abs=4.5 * 0.11)
     assert np.abs(table.mean(axis=0)).max() < 4.5 / math.sqrt(runs)
 
 
@@ -109,7 +109,7 @@ def test_a_fast_mode_that_stops_is_in_the_uncertainties() -> None:
     t = np.arange(0.0, 2 * period_s, 0.01)
     u = np.full(len(t), noise)
     pulls = []
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         left = 0.0145 * np.maximum(rng.uniform(0.2, 2.2) - t, 0.0)
         fast = left * np.cos(2 * np.pi * t / fast_period_s + rng.uniform(0, 6.28))
@@ -119,8 +119,8 @@ def test_a_fast_mode_that_stops_is_in_the_uncertainties() -> None:
         if found.fast is None:
             off = found.slow.direction_rad - np.arctan(0.002)
             pulls.append((off / found.slow.u_direction_rad, found.rest_x / found.u_rest_x))
-    assert len(pulls) > 20
-    assert np.all(np.sqrt(np.mean(np.square(pulls), axis=0)) < 1.3)
+    assert len(pulls) > 12
+    assert np.all(np.sqrt(np.mean(np.square(pulls), axis=0)) < 1.4)
     assert np.max(np.abs(pulls)) < 4
 
 
