@@ -108,7 +108,7 @@ def errors_px(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float
 
 def pulls(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float64]:
     """The same over the uncertainties that are claimed."""
-    return errors_px(spots, truth) / np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
+    return np.asarray(errors_px(spots, truth) / np.array([(spot.u_x_px, spot.u_y_px) for spot in spots]))
 
 
 def scatter_over_claimed(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float64]:
