@@ -19,6 +19,7 @@ from processing.fit import (
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import World, changing_decay
+from tests.processing.swing.truth import half_cycle
 
 DRAG_S = 1.7e-3
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
@@ -102,18 +103,7 @@ def test_a_knock_counts_by_its_gain_beyond_that_of_choosing(
 def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
     """Of 60 half-cycles of 30 arcsec, those from `knock` on about another centre."""
     return [
-        HalfCycle(
-            index=index,
-            turn_time_ns=round(2e9 * index),
-            u_turn_time_s=1e-4,
-            amplitude=30.0 * ARCSEC,
-            u_amplitude=0.005 * ARCSEC,
-            half_period_s=2.0,
-            u_half_period_s=1e-4,
-            side=1 if index % 2 else -1,
-            centre=(centre_arcsec if index >= knock else 0.0) * ARCSEC,
-            flags=0,
-        )
+        half_cycle(index, amplitude=30.0 * ARCSEC, centre=centre_arcsec * (index >= knock) * ARCSEC)
         for index in range(60)
     ]
 

@@ -12,7 +12,7 @@ from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.swing import HalfCycleFlag, KnownMotion
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
-from tests.processing.swing.truth import Errors, Record, damped_sinusoid, detect, errors, rms
+from tests.processing.swing.truth import Errors, Record, air, damped_sinusoid, detect, errors, rms
 
 PER_ACCELERATION = 2e-4 / (9.80665 * 6.05e-3)
 """Angle per acceleration of the ground, in rad s^2/m, with the mass centre 0.2 mm high."""
@@ -94,16 +94,6 @@ def test_a_knock_on_a_driven_pendulum_is_flagged() -> None:
         for place in places:
             hit = [s for s in swings if abs(s.turn_time_ns * 1e-9 - turns[place]) < 3.1]
             assert any(s.flags & HalfCycleFlag.VIBRATION for s in hit)
-
-
-def air(count: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
-    """0.02 arcsec of 1/f noise from 0.01 to 10 Hz."""
-    frequencies_hz = np.fft.rfftfreq(2 * count, 1 / rate_hz)
-    inside = (frequencies_hz > 0.01) & (frequencies_hz < 10.0)
-    size = np.zeros(len(frequencies_hz))
-    size[inside] = 0.02 * np.sqrt(count * rate_hz / 2 / (math.log(1000.0) * frequencies_hz[inside]))
-    normals = rng.standard_normal((2, len(size)))
-    return np.asarray(np.fft.irfft(size * (normals[0] + 1j * normals[1]), 2 * count)[:count])
 
 
 @pytest.mark.slow

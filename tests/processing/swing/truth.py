@@ -108,6 +108,25 @@ def _integrated(contact: str, first_arcsec: float, frames_per_s: float) -> tuple
     )  # fmt: skip
 
 
+def air(count: int, rate_hz: float, rng: np.random.Generator) -> Floats:
+    """0.02 arcsec of 1/f noise from 0.01 to 10 Hz."""
+    frequencies_hz = np.fft.rfftfreq(2 * count, 1 / rate_hz)
+    inside = (frequencies_hz > 0.01) & (frequencies_hz < 10.0)
+    size = np.zeros(len(frequencies_hz))
+    size[inside] = 0.02 * np.sqrt(count * rate_hz / 2 / (math.log(1000.0) * frequencies_hz[inside]))
+    normals = rng.standard_normal((2, len(size)))
+    return np.asarray(np.fft.irfft(size * (normals[0] + 1j * normals[1]), 2 * count)[:count])
+
+
+def half_cycle(index: int, **changed: float) -> HalfCycle:
+    """One of an even swing with half-periods of 2 s."""
+    even = HalfCycle(
+        index=index, turn_time_ns=2_000_000_000 * index, u_turn_time_s=1e-4, amplitude=0.1, u_amplitude=1e-5,
+        half_period_s=2.0, u_half_period_s=1e-4, centre=0.0, side=1 - 2 * (index % 2), flags=0,
+    )  # fmt: skip
+    return replace(even, **changed)  # type: ignore[arg-type]
+
+
 def detect(record: Record, block: int = 10_000, known: KnownMotion | None = None) -> list[HalfCycle]:
     """All swings of a record."""
     detector = TurningPointDetector(known)
