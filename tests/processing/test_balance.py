@@ -13,6 +13,7 @@ from processing.balance import (
     Balance,
     BalanceEstimator,
     BalanceLimits,
+    WeightResponses,
     balance_checks,
     mass_centre_height_m,
     names_with_units,
@@ -223,6 +224,16 @@ def test_the_first_balance_holds_nothing_of_what_was_before_the_release(
         assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.01 + 3.0 * balance.u_rest_y / ARCSEC_RAD
         assert abs(balance.rest_y / ARCSEC_RAD - 5.0) < 0.05
         assert abs(balance.period_s - period_s) < 1e-3
+
+
+def test_a_turn_is_judged_by_the_change_of_the_state_wherever_it_began() -> None:
+    effect, u = np.array([40.0, -20.0, 0.0]), np.array([0.1, 0.1, 1e-7])
+    before = np.array([300.0, 170.0, 1e-6])
+    responses = WeightResponses({"a": (effect, 0.05 * np.abs(effect) + u)}, BalanceLimits())
+    assert responses.can_make("a", 1.0, before, before + effect, u)
+    assert not responses.can_make("a", 1.0, before, before + 9 * effect, u)
+    assert responses.doubt("a", 1.0, before, before + effect, u) is None
+    assert responses.doubt("a", 1.0, before, before - effect, u) is not None
 
 
 def test_a_mass_centre_too_high_swings_slowly() -> None:
