@@ -31,7 +31,7 @@ def decay(knock_arcsec: float) -> TurningPoints:
     """Of a world that is knocked 300 s after the first turning point."""
     rate_rad_per_s = 2 * np.pi / PARAMETERS.period0_s
     world = World(event_s=300.0, knock_rad_per_s=knock_arcsec * ARCSEC * rate_rad_per_s)
-    return changing_decay(PARAMETERS, PENDULUM, world, q=1e-9, seed=1, last_arcsec=6.0)
+    return changing_decay(PARAMETERS, PENDULUM, world, q=1e-9, seed=1)
 
 
 def fitted(points: TurningPoints, near: FitResult | None = None) -> FitResult:
