@@ -25,9 +25,8 @@ def ladder(
     reference = np.array(readings_arcsec) * ARCSEC_RAD
     t = np.tan(2 * reference)
     d_px = arm_m / PITCH_M * (t + skew * t**2)
-    count, noise = len(reference), NOISE_PX * rng.standard_normal((2, len(reference)))
-    u = np.full(count, NOISE_PX)
-    return LadderSteps(reference, np.zeros(count), 160 + noise[0], 300 - d_px + noise[1], u, u)
+    noise = NOISE_PX * rng.standard_normal((2, len(reference)))
+    return made(np.array(readings_arcsec), noise[0], noise[1] - d_px)
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.05, -2.0])
@@ -39,6 +38,16 @@ def test_tilt_and_displacement_are_inverse(skew: float) -> None:
     d = lever.displacement_px(tilt)
     slope = (lever.tilt_rad(d + step) - lever.tilt_rad(d - step)) / (2 * step)
     np.testing.assert_allclose(lever.rad_per_px(d), slope, rtol=1e-6)
+
+
+def made(readings_arcsec: np.ndarray, x: np.ndarray, y: np.ndarray) -> LadderSteps:
+    """Of these settings and places, the settings without an uncertainty."""
+    count = len(readings_arcsec)
+    u = np.full(count, NOISE_PX)
+    return LadderSteps(readings_arcsec * ARCSEC_RAD, np.zeros(count), 160 + x, 300 + y, u, u)
+
+
+NINE = np.linspace(-120, 120, 9).tolist()
 
 
 @pytest.mark.parametrize("kind", ["tilt", "shift"])
@@ -55,9 +64,8 @@ def test_three_settings_that_leave_no_hysteresis_to_be_told_from_a_skew(
 
 
 def test_plain_geometry_is_the_plain_lever() -> None:
-    found = lever_from_geometry(
-        LeverGeometry(arm_m=1.0, u_arm_m=1e-3, pixel_pitch_m=PITCH_M, u_pixel_pitch_m=1e-9)
-    )
+    plain = LeverGeometry(arm_m=1.0, u_arm_m=1e-3, pixel_pitch_m=PITCH_M, u_pixel_pitch_m=1e-9)
+    found = lever_from_geometry(plain)
     assert found.lever.arm_m == pytest.approx(1.0, rel=1e-12)
     assert found.lever.skew == 0.0
     assert found.lever.u_arm_m == pytest.approx(1e-3, rel=1e-6)
@@ -65,29 +73,25 @@ def test_plain_geometry_is_the_plain_lever() -> None:
 
 
 def test_the_trace_agrees_with_what_can_be_had_by_hand() -> None:
-    base = {"arm_m": 1.0, "pixel_pitch_m": PITCH_M}
+
+    def arm_m(**changed: float) -> float:
+        return lever_from_geometry(LeverGeometry(arm_m=1.0, pixel_pitch_m=PITCH_M, **changed)).lever.arm_m
+
     # a mirror that recedes by R phi shifts the beam by 2 R phi sin(i): against 2 phi of the lever, R sin(i)
-    incidence = lever_from_geometry(LeverGeometry(**base, incidence_along_rad=0.2)).lever.arm_m
-    rolled = lever_from_geometry(
-        LeverGeometry(**base, incidence_along_rad=0.2, ball_radius_m=6e-3)
-    ).lever.arm_m
-    assert abs(rolled - incidence) == pytest.approx(6e-3 * math.sin(0.2), rel=0.05)
+    rolled = arm_m(incidence_along_rad=0.2, ball_radius_m=6e-3)
+    assert abs(rolled - arm_m(incidence_along_rad=0.2)) == pytest.approx(6e-3 * math.sin(0.2), rel=0.05)
     # square incidence: the ball's translation is without effect to first order
-    straight = lever_from_geometry(
-        LeverGeometry(**base, ball_radius_m=6e-3, u_ball_radius_m=1e-5)
-    ).lever.arm_m
-    assert straight == pytest.approx(1.0, abs=1e-5)
+    assert arm_m(ball_radius_m=6e-3, u_ball_radius_m=1e-5) == pytest.approx(1.0, abs=1e-5)
     # incidence across the swing turns the beam by 2 phi cos(i)
-    across = lever_from_geometry(LeverGeometry(**base, incidence_across_rad=0.2)).lever.arm_m
-    assert across == pytest.approx(math.cos(0.2), rel=1e-6)
+    assert arm_m(incidence_across_rad=0.2) == pytest.approx(math.cos(0.2), rel=1e-6)
     # a sensor askew by theta: sin(2 phi)/cos(2 phi + theta)
-    askew = LeverGeometry(**base, sensor_tilt_along_rad=0.1)
+    askew = LeverGeometry(arm_m=1.0, pixel_pitch_m=PITCH_M, sensor_tilt_along_rad=0.1)
     for tilt in (1e-3, -1e-3):
         exact = {math.sin(2 * tilt) / math.cos(2 * tilt + sign * 0.1) for sign in (1, -1)}
         assert any(trace_m(askew, tilt)[1] == pytest.approx(value, rel=1e-12) for value in exact)
     assert abs(lever_from_geometry(askew).lever.skew) == pytest.approx(math.tan(0.1), rel=1e-3)
-    square = lever_from_geometry(LeverGeometry(**base, u_sensor_tilt_along_rad=0.02)).lever
-    assert square.u_skew == pytest.approx(0.02, rel=1e-3)
+    square = LeverGeometry(arm_m=1.0, pixel_pitch_m=PITCH_M, u_sensor_tilt_along_rad=0.02)
+    assert lever_from_geometry(square).lever.u_skew == pytest.approx(0.02, rel=1e-3)
 
 
 def test_a_bent_ladder_is_found_out_and_corrected() -> None:
@@ -103,7 +107,7 @@ def test_a_bent_ladder_is_found_out_and_corrected() -> None:
 
 
 def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> None:
-    quiet = ladder(np.linspace(-120, 120, 9).tolist())
+    quiet = ladder(NINE)
     coarse = replace(quiet, u_reference=np.full(9, 0.1 * ARCSEC_RAD))
     assert not any("tilt of the sensor" in note for note in fit_ladder(quiet, "tilt").notes)
     assert any("tilt of the sensor" in note for note in fit_ladder(coarse, "tilt").notes)
@@ -121,8 +125,8 @@ def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> Non
 def test_what_may_have_bent_a_ladder_is_in_the_uncertainty_of_its_scale(
     name: str, share: tuple[float, float], beyond: int
 ) -> None:
-    """Of 40 seeds; if a straight ladder is thought probable, 0.3 of those with a cubic part."""
-    pulls = np.abs([pull(name, seed)[0] for seed in range(40)])
+    """Of 30 seeds; if a straight ladder is thought probable, 0.3 of those with a cubic part."""
+    pulls = np.abs([pull(name, seed)[0] for seed in range(30)])
     assert share[0] <= np.mean(pulls < 1.0) <= share[1]
     assert np.count_nonzero(pulls > 3.0) <= beyond
 
@@ -130,7 +134,7 @@ def test_what_may_have_bent_a_ladder_is_in_the_uncertainty_of_its_scale(
 def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     assert any("a cubic part" in note for note in pull("cubic 3.6e-3, 9 steps to 300 arcsec", 1)[2])
     assert not any("cubic" in note for note in pull("straight, 9 steps to 150 arcsec", 1)[2])
-    steps = ladder(np.linspace(-120, 120, 9).tolist())
+    steps = ladder(NINE)
     y_px = steps.y_px.copy()
     y_px[7] += 1.0
     fit = fit_ladder(replace(steps, y_px=y_px), "tilt")
@@ -159,9 +163,9 @@ def test_a_residual_is_the_whole_departure_from_the_stated_setting() -> None:
 
 
 def test_the_uncertainty_of_a_cubic_part_is_its_scatter() -> None:
-    """Of 30 seeds, within four of its own standard deviations; also where a wrong step may be the cause."""
+    """Of 16 seeds, within four of its own standard deviations; also where a wrong step may be the cause."""
     bent = LADDERS["cubic 3.6e-3, 9 steps to 300 arcsec"]
-    fits = [fit_ladder(bent.climbed(seed), "tilt") for seed in range(30)]
+    fits = [fit_ladder(bent.climbed(seed), "tilt") for seed in range(16)]
     pulls = np.array([(fit.cubic - bent.cubic) / fit.u_cubic for fit in fits])
     assert abs(np.sqrt(np.mean(pulls**2)) - 1.0) < 4 / np.sqrt(2 * len(pulls))
     assert abs(np.mean(pulls)) < 4 / np.sqrt(len(pulls))
@@ -175,8 +179,7 @@ def test_hysteresis_and_direction_have_the_signs_of_the_motion() -> None:
     rng = np.random.default_rng(5)
     along = np.tan(2 * (reference + 0.5 * 0.4 * ARCSEC_RAD * way)) / PITCH_M
     x, y = NOISE_PX * rng.standard_normal((2, 17)) + np.outer([math.sin(0.3), -math.cos(0.3)], along)
-    u = np.full(17, NOISE_PX)
-    fit = fit_ladder(LadderSteps(reference, np.zeros(17), 160 + x, 300 + y, u, u), "tilt")
+    fit = fit_ladder(made(reference / ARCSEC_RAD, x, y), "tilt")
     assert fit.hysteresis == pytest.approx(0.4 * ARCSEC_RAD, abs=4 * fit.u_hysteresis)
     assert fit.hysteresis > 10 * fit.u_hysteresis
     assert fit.direction_rad == pytest.approx(0.3, abs=4 * fit.u_direction_rad)
@@ -185,23 +188,23 @@ def test_hysteresis_and_direction_have_the_signs_of_the_motion() -> None:
 def test_a_wrong_reference_enlarges_the_scale_s_uncertainty_alone() -> None:
     """What the reference is off moves the spot along the ladder: across it nothing is enlarged."""
     z, claimed = [], []
-    for seed in range(40):
-        steps = ladder(np.linspace(-120, 120, 9).tolist(), seed=seed)
+    for seed in range(20):
+        steps = ladder(NINE, seed=seed)
         off = 0.3 * ARCSEC_RAD * np.random.default_rng([seed, 1]).standard_normal(9)
         fit = fit_ladder(replace(steps, reference=steps.reference + off), "tilt")
         assert fit.u_direction_rad < 2.0 * NOISE_PX / np.hypot.reduce(steps.y_px - steps.y_px.mean())
         z.append((fit.scale * PITCH_M - 1.0) / (fit.u_scale * PITCH_M))
         claimed.append(fit.scale_dof)
     assert set(claimed) <= {6.0, 7.0}, "a skew is taken for real once in a hundred"
-    # Student's t of seven degrees of freedom has a variance of 7/5; an rms of 40 lies within 3/sqrt(80)
-    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(np.sqrt(7 / 5), rel=3 / np.sqrt(80))
+    # Student's t of seven degrees of freedom has a variance of 7/5; an rms of 20 lies within 3/sqrt(40)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(np.sqrt(7 / 5), rel=3 / np.sqrt(40))
 
 
 def test_degrees_of_freedom_and_doubt_of_the_skew_are_part_of_the_lever() -> None:
-    quiet = fit_ladder(ladder(np.linspace(-120, 120, 9).tolist()), "tilt")
+    quiet = fit_ladder(ladder(NINE), "tilt")
     assert lever_from_tilts(quiet, PITCH_M).arm_dof is None
     assert lever_from_tilts(quiet, PITCH_M).u_skew == quiet.u_skew
-    noisy = ladder(np.linspace(-120, 120, 9).tolist())
+    noisy = ladder(NINE)
     noisy = replace(noisy, y_px=noisy.y_px + 0.05 * np.random.default_rng(2).standard_normal(9))
     assert lever_from_tilts(fit_ladder(noisy, "tilt"), PITCH_M).arm_dof == pytest.approx(7.0)
     # tilts to one side mostly: a sensor askew by the doubt of its tilt would look like another scale
@@ -235,21 +238,14 @@ def test_a_ladder_that_cannot_serve_is_refused(readings: list[float], words: str
 
 
 def test_a_spot_that_does_not_follow_is_refused() -> None:
-    steps = ladder(np.linspace(-120, 120, 9).tolist())
-    rng = np.random.default_rng(3)
-    still = replace(steps, x_px=160 + 0.01 * rng.standard_normal(9), y_px=300 + 0.01 * rng.standard_normal(9))
+    still = made(np.array(NINE), *0.01 * np.random.default_rng(3).standard_normal((2, 9)))
     with pytest.raises(DataError, match="does not follow"):
         fit_ladder(still, "tilt")
 
 
-@pytest.mark.parametrize(("arm_m", "moved"), [(1.0, False), (1.002, True)])
-def test_a_lever_that_moved_is_flagged(arm_m: float, moved: bool) -> None:
-    readings = np.linspace(-120, 120, 13).tolist()
-    lever = lever_from_tilts(fit_ladder(ladder(readings, seed=5), "tilt"), PITCH_M)
-    check = check_scale(lever, fit_ladder(ladder(readings, arm_m=arm_m, seed=6), "tilt"))
-    assert check.moved is moved
-
-
-def test_what_both_checks_share_does_not_hide_a_move() -> None:
+def test_a_lever_that_moved_is_flagged_and_what_both_checks_share_does_not_hide_it() -> None:
+    lever = lever_from_tilts(fit_ladder(ladder(NINE, seed=5), "tilt"), PITCH_M)
+    for arm_m, moved in ((1.0, False), (1.002, True)):
+        assert check_scale(lever, fit_ladder(ladder(NINE, arm_m=arm_m, seed=6), "tilt")).moved is moved
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3))[2] is False
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3), 1e-3)[2] is True

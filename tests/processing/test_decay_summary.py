@@ -31,7 +31,6 @@ def test_scatter_that_is_larger_than_stated_is_no_change(seed: int) -> None:
     assert found.decrement.chi2_per_dof > 4.0
     assert not found.decrement.changes
     quality = found.quality_factor
-    assert quality is not None
     assert abs(quality.value - np.pi / 0.05) < 4 * quality.standard_uncertainty
 
 

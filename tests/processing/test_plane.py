@@ -58,9 +58,8 @@ def test_the_curve_is_the_plane_within_its_uncertainty(
     angle: Callable[[float], float], most_terms: int
 ) -> None:
     pulls = []
-    for seed in range(10):
+    for seed in range(5):
         plane = plane_of_swing(balances(angle, seed), TIMES_NS)
-        assert plane is not None
         assert not plane.doubt
         assert len(plane.coefficients) <= most_terms
         start_s = TIMES_NS[0] * 1e-9
@@ -75,8 +74,6 @@ def test_the_curve_is_the_plane_within_its_uncertainty(
 def test_the_ground_across_is_part_of_the_uncertainty() -> None:
     quiet = plane_of_swing(balances(lambda t: RATE * t), TIMES_NS)
     loud = plane_of_swing(balances(lambda t: RATE * t, across=1e-7), TIMES_NS)
-    assert quiet is not None
-    assert loud is not None
     assert loud.u_mean_rate() > 20 * quiet.u_mean_rate()
     assert abs(loud.mean_rate() - RATE) < 3 * loud.u_mean_rate()
     assert not loud.doubt
@@ -92,7 +89,6 @@ def test_the_ground_across_is_part_of_the_uncertainty() -> None:
 )
 def test_what_cannot_be_followed_is_said(angle: Callable[[float], float], kept: slice, said: str) -> None:
     plane = plane_of_swing(balances(angle)[kept], TIMES_NS)
-    assert plane is not None
     assert said in plane.doubt
 
 
@@ -102,7 +98,6 @@ def test_a_gap_without_turning_points_leaves_the_plane_known() -> None:
     seen = TIMES_NS[np.abs(TIMES_NS - 300e9) > 30e9]
     for turns_ns, doubt in ((seen, False), (TIMES_NS, True)):
         plane = plane_of_swing(kept, turns_ns)
-        assert plane is not None
         assert bool(plane.doubt) is doubt
 
 

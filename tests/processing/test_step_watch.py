@@ -25,8 +25,8 @@ def test_a_step_is_noticed_once_with_its_size_and_place(size: float, noise: floa
 def test_noise_drift_and_lost_values_are_no_steps() -> None:
     rng = np.random.default_rng(1)
     for noise in (0.1, 1.0, 10.0):
-        values = rng.normal(0.0, noise, 2500) + 0.003 * np.arange(2500)
-        values[rng.random(2500) < 0.2] = np.nan
+        values = rng.normal(0.0, noise, 1200) + 0.003 * np.arange(1200)
+        values[rng.random(1200) < 0.2] = np.nan
         assert steps_in(values, min_size=3.0 * noise) == []
 
 

@@ -103,7 +103,7 @@ def test_drag_and_friction_cannot_cancel_each_other_without_end(points: TurningP
     assert plain.lower[1] < 0 < 1 < plain.upper[1] < 10
 
 
-@pytest.mark.parametrize("drag", [False, True])
+@EVERY
 def test_a_parameter_at_the_end_of_its_range_is_named(points: TurningPoints, drag: bool) -> None:
     columns = columns_of(points, drag)
     assert list(columns.at_limit(columns.from_physical(VALUES))) == []
@@ -117,7 +117,7 @@ def test_a_parameter_at_the_end_of_its_range_is_named(points: TurningPoints, dra
     assert "b" in columns.at_limit(at)
 
 
-@pytest.mark.parametrize("drag", [False, True])
+@EVERY
 def test_start_values_are_near_the_truth(points: TurningPoints, drag: bool) -> None:
     columns = columns_of(points, drag)
     first = columns.starts(points)[0][0]

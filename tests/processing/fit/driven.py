@@ -234,16 +234,24 @@ changing_path = partial(driven_path, frames_per_s=25.0, steps=400)
 def driven_decay(
     parameters: ContactParameters,
     pendulum: PendulumOnBall,
+    world: World = UNCHANGED,
     *,
     q: float,
     noise_arcsec: float,
     seed: int,
     first_arcsec: float = 124.0,
     last_arcsec: float = 2.0,
+    frames_per_s: float | None = None,
+    steps: int = STEPS,
 ) -> TurningPoints:
     """Turning points of `driven_path`, measured with the noise that `decays.decay` adds."""
     time, turn, _ = driven_path(
-        parameters, pendulum, q=q, seed=seed, first_arcsec=first_arcsec, last_arcsec=last_arcsec
-    )
+        parameters, pendulum, world, q=q, seed=seed, first_arcsec=first_arcsec, last_arcsec=last_arcsec,
+        frames_per_s=frames_per_s, steps=steps,
+    )  # fmt: skip
     rng = np.random.default_rng([seed, 77])
     return with_noise(time, np.abs(turn), parameters.period0_s, noise_arcsec, rng)
+
+
+changing_decay = partial(driven_decay, noise_arcsec=0.005, frames_per_s=25.0, steps=400)
+"""The turning points of `changing_path`."""

@@ -36,16 +36,13 @@ def refused(points: TurningPoints, pendulum: PendulumOnBall, message: str) -> No
         assert "\n" not in str(error.value)
 
 
-def test_too_few_and_amplitudes_that_grow_are_refused(
+def test_too_few_and_amplitudes_that_grow_are_refused_and_ten_are_enough_to_try(
     points: TurningPoints, pendulum: PendulumOnBall
 ) -> None:
     few = without(points, np.arange(9, 10_000))
     refused(few, pendulum, "9 usable half-cycles, and a fit needs at least 10")
     refused(without(points, np.arange(10_000)), pendulum, "0 usable half-cycles")
     refused(replace(points, amplitude=points.amplitude[::-1]), pendulum, "does not fall")
-
-
-def test_ten_are_enough_to_try(points: TurningPoints, pendulum: PendulumOnBall) -> None:
     result = fit_exact(without(points, np.arange(10, 10_000)), pendulum)
     assert result.dof == 20 - 8
     assert np.all(result.standard_uncertainty > 0)

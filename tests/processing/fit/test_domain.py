@@ -12,17 +12,16 @@ from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_decay
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
+Fitted = tuple[TurningPoints, FitResult]
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[TurningPoints, FitResult]:
+def fitted() -> Fitted:
     points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
     return points, fit_exact(points, PENDULUM, averaged=False)
 
 
-def test_angles_beyond_the_contact_and_beyond_small_ones_are_named(
-    fitted: tuple[TurningPoints, FitResult],
-) -> None:
+def test_angles_beyond_the_contact_and_beyond_small_ones_are_named(fitted: Fitted) -> None:
     """The same decay as if it had been read in other units: 1.6 rad are 147 contact angles."""
     points, fit = fitted
     assert not list(domain_warnings(points, PENDULUM, fit))
@@ -35,7 +34,7 @@ def test_angles_beyond_the_contact_and_beyond_small_ones_are_named(
     assert len(list(domain_warnings(between, PENDULUM, fit))) == 1
 
 
-def test_a_sign_that_cannot_be_is_named(fitted: tuple[TurningPoints, FitResult]) -> None:
+def test_a_sign_that_cannot_be_is_named(fitted: Fitted) -> None:
     points, fit = fitted
     at = fit.names.index("gamma_pa")
     values = fit.values.copy()

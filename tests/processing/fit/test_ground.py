@@ -42,24 +42,20 @@ def test_a_short_run_does_not_take_its_drive_for_a_larger_scatter(seed: int) -> 
     points = driven_decay(parameters, pendulum, q=8e-9, noise_arcsec=0.0013, seed=seed, last_arcsec=86)
     known = Evidence(drag_s=Estimate(1.7e-3, 1e-5))
     result = fit_exact(points, pendulum, drag=True, evidence=known, averaged=False)
-    assert result.ground is not None
     assert result.ground.measurement_scale < 1.1
     value, u = result.estimate("period0_s")
     assert abs(value - parameters.period0_s) < 2 * u
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_at_rest_the_fit_is_that_of_one_free_decay(seed: int) -> None:
+def test_at_rest_the_fit_is_that_of_one_free_decay() -> None:
     parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=seed)
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1)
     result = fit_exact(points, pendulum)
-    assert result.ground is not None
     assert not result.ground.seen
     # at 5e-10 the drive adds a tenth to the uncertainties, at 1e-9 a half
     assert 2e-10 < result.ground.upper_95 < 3e-9
     solution = one_decay(points, pendulum)
-    model = ExactModel(points, pendulum)
-    values, matrix = model.parametrisation.physical(solution.values)
+    values, matrix = ExactModel(points, pendulum).parametrisation.physical(solution.values)
     u = np.sqrt(np.diag(matrix @ solution.covariance @ matrix.T))
     # a drive that chance suggests moves the values by less than it widens them
     assert np.all(np.abs(result.values - values) < 0.1 * u)
@@ -84,15 +80,8 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=1e-7, seed=2, last_arcsec=20)
     model = ExactModel(points, pendulum)
-    columns = model.parametrisation.from_physical(
-        dict(
-            zip(
-                model.names,
-                [*truth(parameters, model.names), points.amplitude[0], points.time_s[0]],
-                strict=True,
-            )
-        )
-    )
+    true = [*truth(parameters, model.names), points.amplitude[0], points.time_s[0]]
+    columns = model.parametrisation.from_physical(dict(zip(model.names, true, strict=True)))
     step = 1e-9
     noise = Noise(step=step / model.reference, averaged=False)
     found = model.filtered(columns, noise).residuals.reshape(2, -1)
@@ -118,36 +107,24 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
         points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=0)
         result = fit_exact(points, pendulum, averaged=False)
         z.append(pulls(result, parameters))
-        assert result.ground is not None
         assert q < 1.5 * result.ground.upper_95
         assert result.ground.seen or q < 3e-9
         if result.ground.seen:
             density, u = result.ground.density_rad_per_s2_rthz
             assert abs(density - q) < 4 * u
         assert abs(result.chi2_per_dof - 1) < 5 * np.sqrt(2 / result.dof)
-        assert result.whiteness is not None
         assert not result.whiteness.correlated
     # six parameters with about three independent errors: 4 u once in 500, and the rms within 4 of its u
     assert np.abs(z).max() < 4.0
     assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(18)
 
 
-def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=0)
-    solution = one_decay(points, pendulum)
-    columns = ExactModel(points, pendulum).parametrisation
-    values, matrix = columns.physical(solution.values)
-    u = np.sqrt(np.diag(matrix @ solution.covariance @ matrix.T))
-    assert np.abs((values[:SIX] - truth(parameters, PAPER.names())) / u[:SIX]).max() > 5
-
-
 @pytest.mark.slow
 def test_eqs_5_and_6_state_the_scatter_that_the_drive_gives() -> None:
-    """Five seeds: a standard deviation is known to 35 %."""
+    """Four seeds: a standard deviation is known to 41 %."""
     parameters, pendulum = paper_pair("glass_k8")
     values, stated = [], []
-    for seed in range(5):
+    for seed in range(4):
         points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=0.005, seed=seed, last_arcsec=20)
         exact = fit_exact(points, pendulum, averaged=False)
         result = fit_asymptotic(points, pendulum, exact=exact)
@@ -163,7 +140,6 @@ def test_the_end_of_a_run_that_the_ground_moves_is_left_out_and_said() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=3e-6, noise_arcsec=0.005, seed=1)
     result = fit_exact(points, pendulum, averaged=False)
-    assert result.ground is not None
     assert result.ground.left_out_half_cycles > 0
     assert result.half_cycles + result.ground.left_out_half_cycles == len(points)
     weakest = points.amplitude[: result.half_cycles].min()

@@ -7,7 +7,6 @@ import pytest
 import scipy
 
 from processing.contact.laws import PAPER
-from processing.deflections import slow_deflections
 from processing.estimate import Estimate
 from processing.fit import (
     REST_POSITION,
@@ -28,9 +27,8 @@ DELAY_S_PER_RAD = 12.5
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("q", [0.0, 1e-8])
-def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
-    points = driven_decay(PARAMETERS, PENDULUM, q=q, noise_arcsec=0.005, seed=5)
+def test_alternating_times_are_those_of_a_shutter() -> None:
+    points = driven_decay(PARAMETERS, PENDULUM, q=1e-8, noise_arcsec=0.005, seed=5)
     at_once = fit_exact(points, PENDULUM, averaged=False)
     alone = time_alternation(LinearisedFit.of(points, PENDULUM, at_once))
     assert not alone.taken_off_texts
@@ -43,19 +41,17 @@ def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
     (text,) = found.taken_off_texts
     assert "rolling shutter" in text
     mended = fit_exact(without_alternation(seen, found), PENDULUM, averaged=False)
-    names = PAPER.names()
-    apart = (mended.values - at_once.values)[: len(names)] / at_once.standard_uncertainty[: len(names)]
-    assert np.max(np.abs(apart)) < 0.1
+    apart = (mended.values - at_once.values) / at_once.standard_uncertainty
+    assert np.max(np.abs(apart[:6])) < 0.1
     assert mended.standard_uncertainty == pytest.approx(at_once.standard_uncertainty, rel=0.05)
-    off = (mended.values[: len(names)] - truth(PARAMETERS, names)) / mended.standard_uncertainty[: len(names)]
-    assert np.max(np.abs(off)) < 3.5
+    off = mended.values[:6] - truth(PARAMETERS, PAPER.names())
+    assert np.max(np.abs(off / mended.standard_uncertainty[:6])) < 3.5
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", ["glass_k8", "silicon"])
-def test_a_rest_beside_the_middle_of_the_contact_is_found_and_covered(pair: str) -> None:
+def test_a_rest_beside_the_middle_of_the_contact_is_found_and_covered() -> None:
     """Of 0.5 arcsec at 10 arcsec, n, T0 and gamma lay 5 u off, and a shutter and its rows had the blame."""
-    parameters, pendulum = paper_pair(pair)
+    parameters, pendulum = paper_pair("silicon")
     pull = (2 * np.pi / parameters.period0_s) ** 2 * 0.5 * ARCSEC
     path = driven_path(
         parameters, pendulum, q=1e-9, seed=1, last_arcsec=10.0, frames_per_s=25.0,
@@ -99,10 +95,7 @@ def test_the_second_harmonic_is_that_of_rows(delay_s_per_rad: float) -> None:
     at_s = frame_s.copy()
     for _ in range(4):
         at_s = frame_s + delay_s_per_rad * path(at_s)
-    u = 0.005 * ARCSEC
-    seen = path(at_s) + u * np.random.default_rng(3).standard_normal(len(at_s))
-    times_ns = np.rint(frame_s * 1e9).astype(np.int64)
-    samples = slow_deflections(times_ns, seen, np.full(len(seen), u))
+    samples = seen_in_frames(path(at_s), 0.005 * ARCSEC, 3, rate)
     found = row_delay(points_and_harmonics(samples)[1], PARAMETERS.period0_s)
     assert found.seen is bool(delay_s_per_rad)
     # pieces of a decay have a mean amplitude only

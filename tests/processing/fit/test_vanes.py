@@ -7,19 +7,12 @@ import pytest
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import (
-    Evidence,
-    MeasuredAir,
-    VanedRun,
-    air_of_vanes,
-    fit_exact,
-    waveform_of,
-)
+from processing.fit import Evidence, MeasuredAir, VanedRun, air_of_vanes, fit_exact, waveform_of
 from processing.fit.refinement import DecayFit, fitted_twice
-from processing.swing import HarmonicsMeasurement, half_cycles_of_blocks
+from processing.swing import half_cycles_of_blocks
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
-from tests.processing.fit.frames import seen_in_frames
+from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 DRAG_S, PER_M2_S, RATE = 1.7e-3, 0.025, 25.0
 AREAS_M2 = (0.0, 0.07, 0.14)
@@ -36,11 +29,8 @@ def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
     )
     path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=25)[2]
     samples = seen_in_frames(path, 0.005 * ARCSEC, [seed, 3], RATE)
-    swings = half_cycles_of_blocks([samples])
-    watch = HarmonicsMeasurement(swings)
-    watch.update(samples)
-    decay = DecayFit(PENDULUM, evidence=Evidence(waveform_of(watch.harmonics())))
-    refined, fit = fitted_twice(swings, [samples], decay)
+    decay = DecayFit(PENDULUM, evidence=Evidence(waveform_of(points_and_harmonics(samples)[1])))
+    refined, fit = fitted_twice(half_cycles_of_blocks([samples]), [samples], decay)
     return VanedRun(decay.points(refined.swings), fit, area_m2)
 
 

@@ -34,6 +34,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings import load_configuration
+from tests.processing.fit.decays import with_noise
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "instruments"
 NOISE_RAD = 2e-5
@@ -254,16 +255,7 @@ def _contact(kind: str, seed: int) -> Mapping[str, Recovered]:
 
 def _noisy_points(truth: TruePoints, period_s: float, seed: int) -> TurningPoints:
     rng = np.random.default_rng(seed)
-    u_rad = POINT_NOISE_ARCSEC * DEGREE_RAD / 3600
-    amplitude = np.abs(truth.angle_rad)
-    u_time_s = u_rad / amplitude * period_s / (2 * math.pi)
-    return TurningPoints(
-        np.arange(len(amplitude)),
-        truth.time_s + u_time_s * rng.standard_normal(len(amplitude)),
-        u_time_s,
-        amplitude + u_rad * rng.standard_normal(len(amplitude)),
-        np.full(len(amplitude), u_rad),
-    )
+    return with_noise(truth.time_s, np.abs(truth.angle_rad), period_s, POINT_NOISE_ARCSEC, rng)
 
 
 MEASUREMENTS: Mapping[str, Callable[[int], Mapping[str, Recovered]]] = {

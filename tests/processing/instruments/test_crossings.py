@@ -1,6 +1,7 @@
 """Turning points outside the sensor are inferred from crossings and agree with the simulator's."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from tests.processing.instruments.simulated_instruments import (
     true_time_s,
     truth_points,
 )
+from tests.processing.swing.truth import half_cycle
 
 
 def seen(found: Samples, limit_deg: float, rest_rad: float = 0.0) -> np.ndarray:
@@ -26,10 +28,7 @@ def seen(found: Samples, limit_deg: float, rest_rad: float = 0.0) -> np.ndarray:
 
 
 def points(swings: list[HalfCycle]) -> TurningPoints:
-    bare = [
-        HalfCycle(**{**{name: getattr(s, name) for name in HalfCycle.__slots__}, "flags": 0}) for s in swings
-    ]
-    return turning_points(bare)
+    return turning_points([replace(swing, flags=0) for swing in swings])
 
 
 @pytest.mark.parametrize(("kind", "limit_deg"), [("koenig", 2.0), ("persoz", 3.0)])
@@ -95,15 +94,10 @@ def test_half_periods_without_any_sample_are_counted() -> None:
     np.testing.assert_array_equal(np.diff([swing.index for swing in swings]), np.diff(nearest))
 
 
-def half_cycle(index: int, time_s: float, flags: int = 0) -> HalfCycle:
-    return HalfCycle(
-        index=index, turn_time_ns=round(time_s * 1e9), u_turn_time_s=1e-4, amplitude=0.1, u_amplitude=1e-5,
-        half_period_s=2.0, u_half_period_s=1e-4, centre=0.0, side=1 - 2 * (index % 2), flags=flags,
-    )  # fmt: skip
-
-
 def test_one_inferred_half_cycle_replaces_its_own_and_leaves_gaps() -> None:
-    recorded = [half_cycle(k, 2.0 * k, int(HalfCycleFlag.GAP) if k == 4 else 0) for k in range(7)]
-    joined = joined_half_cycles(recorded, [half_cycle(0, 2.001, int(HalfCycleFlag.INFERRED))])
+    recorded = [half_cycle(k, flags=int(HalfCycleFlag.GAP) if k == 4 else 0) for k in range(7)]
+    joined = joined_half_cycles(
+        recorded, [half_cycle(0, turn_time_ns=2_001_000_000, flags=int(HalfCycleFlag.INFERRED))]
+    )
     assert [one.index for one in joined] == [0, 1, 2, 3, 5, 6]
     assert joined[1].flags == int(HalfCycleFlag.INFERRED)

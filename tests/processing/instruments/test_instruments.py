@@ -62,15 +62,12 @@ def test_constants_of_the_standards() -> None:
 def test_contact_angle_of_the_two_ball_pendulum(flat: str, arcmin: float) -> None:
     """The published range, 37 to 47 arcmin on steel, silicon and glass, rounded to arc minutes."""
     config = load_configuration(CONFIGS / "two_ball.toml")
-    assert config.pendulum is not None
     stated = config.materials["sapphire"]
     sapphire = Material(stated.youngs_modulus_pa, stated.poisson_ratio)
     load_n = config.pendulum.mass_kg * config.pendulum.gravity_m_per_s2 / 2
     ball_radius_m = config.pendulum.ball_radius_m
     radius_m = contact_radius(load_n, ball_radius_m, sapphire, material(flat))
     assert radius_m / ball_radius_m / ARCSEC_RAD / 60 == pytest.approx(arcmin, abs=0.5)
-    one_ball_m = contact_radius(2 * load_n, ball_radius_m, sapphire, material(flat))
-    assert radius_m / one_ball_m == pytest.approx(2 ** (-1 / 3), rel=1e-12)
 
 
 @given(st.floats(6.0, 9.0), st.floats(0.002, 0.05))
@@ -80,11 +77,6 @@ def test_damping_of_an_exponential_decay(start_deg: float, rate: float) -> None:
     assert found.swings.value == pytest.approx(0.5 * math.log(2) / rate, rel=1e-9)
     assert found.time_s.value == pytest.approx(0.7 * math.log(2) / rate, rel=1e-9)
     assert found.period_s.value == pytest.approx(1.4, rel=1e-12)
-
-
-def test_a_release_at_the_start_amplitude_is_carried_back_to_it() -> None:
-    found = damping(exponential(5.95, 0.01, 100), 6 * DEGREE_RAD, 3 * DEGREE_RAD)
-    assert found.swings.value == pytest.approx(50 * math.log(2), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -101,12 +93,13 @@ def test_amplitudes_that_are_not_passed(points: TurningPoints, words: str) -> No
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_half_cycle_at_the_level_is_said() -> None:
+def test_a_missing_half_cycle_at_the_level_is_said_and_a_start_just_below_it_carried_back() -> None:
     points = exponential(7.0, 0.01, 120)
     gone = int(np.argmax(points.amplitude < 6 * DEGREE_RAD))
-    found = damping(without(points, np.array([gone])), 6 * DEGREE_RAD, 3 * DEGREE_RAD)
-    assert found.missing == 1
-    assert found.swings.value == pytest.approx(50 * math.log(2), rel=1e-9)
+    for decayed, missing in ((without(points, np.array([gone])), 1), (exponential(5.95, 0.01, 100), 0)):
+        found = damping(decayed, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
+        assert found.missing == missing
+        assert found.swings.value == pytest.approx(50 * math.log(2), rel=1e-9)
 
 
 def test_places_and_ratio() -> None:
@@ -165,7 +158,6 @@ def test_constant_friction_falls_in_equal_steps() -> None:
     assert law.moment.value == pytest.approx(q, rel=1e-5)
     assert law.exponent.value == pytest.approx(0, abs=1e-4)
     found = rolling_friction(points, Estimate(0.02, 0.0), Estimate(0.002, 0.0))
-    assert found.coefficient is not None
     assert found.coefficient.value == pytest.approx(10 * q, rel=1e-4)
     assert "is not constant" in found.sentences[0]
     assert "is independent of speed" in found.sentences[1]
@@ -177,11 +169,8 @@ def test_constant_friction_falls_in_equal_steps() -> None:
     assert np.std(means) / np.median(u) == pytest.approx(1, abs=0.5)
 
 
-def test_no_coefficient_without_the_geometry() -> None:
+def test_no_coefficient_without_the_geometry_nor_of_a_decay_that_does_not_fall() -> None:
     assert rolling_friction(exponential(3.0, 0.01, 100), None, Estimate(2e-3, 0.0)).coefficient is None
-
-
-def test_a_decay_that_does_not_fall() -> None:
     with pytest.raises(DataError, match="does not fall"):
         fit_friction_law(decay(np.linspace(0.01, 0.02, 20)))
 
@@ -208,19 +197,17 @@ def test_the_factor_of_the_circular_error_scatters_as_it_claims() -> None:
     time_s = np.concatenate(([0.0], np.cumsum(1 + ideal_excess(np.sqrt(square)))))
     rng, u = np.random.default_rng(9), np.linspace(0.01, 0.03, 16)
     found = []
-    for _ in range(400):
+    for _ in range(200):
         noisy = time_s + u * rng.standard_normal(16)
         points = TurningPoints(np.arange(16), noisy, u, amplitude, np.full(16, 1e-3))
         found.append(circular_error(points))
-    for values, truth in (
-        (np.array([tuple(each.factor) for each in found]), 1.0),
-        (np.array([tuple(each.period0_s) for each in found]), 2.0),
-    ):
+    for name, truth in (("factor", 1.0), ("period0_s", 2.0)):
+        values = np.array([tuple(getattr(each, name)) for each in found])
         claimed = np.sqrt(np.mean(values[:, 1] ** 2))
         # where chi-square falls short of its degrees of freedom the uncertainty is not made smaller
-        assert 0.92 < claimed / np.std(values[:, 0]) < 1.25
-        assert np.mean(values[:, 0]) == pytest.approx(truth, abs=4 * claimed / 20)
-    assert np.mean([each.chi2_per_dof for each in found]) == pytest.approx(1, abs=0.08)
+        assert 0.88 < claimed / np.std(values[:, 0]) < 1.3
+        assert np.mean(values[:, 0]) == pytest.approx(truth, abs=4 * claimed / 14)
+    assert np.mean([each.chi2_per_dof for each in found]) == pytest.approx(1, abs=0.12)
     flat = found[0].period0_s.value * (1 + found[0].amplitude_rad ** 2 / 16)
     assert found[0].sixteenth_s == pytest.approx(flat)
     assert "follows the circular-error law" in found[0].sentence
@@ -243,17 +230,14 @@ def test_a_factor_that_may_be_anything_follows_no_law() -> None:
     assert np.all(found.sixteenth_s <= found.ideal_s)
 
 
-def test_amplitudes_too_much_alike_for_the_period() -> None:
-    with pytest.raises(DataError, match="at least 8"):
-        circular_error(exponential(5.0, 0.01, 7))
-
-
 def test_swings_too_small_for_their_clock_give_a_factor_of_large_uncertainty() -> None:
     """Times to 1 ms of swings of 3': the circular error, 5e-8 of the period, is not seen."""
     found = circular_error(decay(0.05 * DEGREE_RAD * np.exp(-0.01 * np.arange(200)), u_s=1e-3))
     assert found.factor.standard_uncertainty > 10
     assert abs(found.factor.value) < 2 * found.factor.standard_uncertainty
     assert found.period0_s.value == pytest.approx(1.4, abs=1e-5)
+    with pytest.raises(DataError, match="at least 8"):
+        circular_error(exponential(5.0, 0.01, 7))
 
 
 def test_herbert_with_a_short_record() -> None:

@@ -40,9 +40,8 @@ def test_runs_that_agree_are_averaged_by_their_weights() -> None:
     assert combined.standard_uncertainty == pytest.approx(1 / 15)
     assert combined.within_runs == pytest.approx(1 / 15)
     assert combined.degrees_of_freedom == 2
-    assert combined.expanded_uncertainty_95 == pytest.approx(
-        4.302653 / 15, rel=1e-6
-    )  # t for 2 degrees of freedom
+    # t for 2 degrees of freedom
+    assert combined.expanded_uncertainty_95 == pytest.approx(4.302653 / 15, rel=1e-6)
     assert combined.p_homogeneous > 0.5
 
 
@@ -110,15 +109,8 @@ def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     """Turning points alone: b is as uncertain as the air is, whatever the number of runs."""
     parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
     evidence = Evidence(drag_s=Estimate(1.7e-3, 0.8e-3))
-    results = [
-        fit_exact(
-            decay(parameters, pendulum, noise_arcsec=0.005, seed=seed, last_arcsec=10),
-            pendulum,
-            drag=True,
-            evidence=evidence,
-        )
-        for seed in range(2)
-    ]
+    decays = [decay(parameters, pendulum, noise_arcsec=0.005, seed=seed, last_arcsec=10) for seed in range(2)]
+    results = [fit_exact(points, pendulum, drag=True, evidence=evidence) for points in decays]
     series = combine_runs(results)
     for name in ("b", "drag_s"):
         each = [result.estimate(name).standard_uncertainty for result in results]
@@ -139,7 +131,7 @@ def test_intervals_of_three_runs_cover(between: float) -> None:
     rng = np.random.default_rng(7)
     u = np.array([1.0, 1.3, 0.8])
     inside = 0
-    trials = 2000
+    trials = 1000
     for _ in range(trials):
         x = between * rng.standard_normal(3) + u * rng.standard_normal(3)
         combined = combine("c", [Estimate(float(v), float(s)) for v, s in zip(x, u, strict=True)])
@@ -175,17 +167,10 @@ def test_the_run_that_disagrees_is_named_and_of_two_both() -> None:
     assert {item.run for item in combine_runs([results[0], results[2]]).disagreements} == {1, 2}
 
 
-def test_runs_that_differ_by_their_noise_alone_are_not_named() -> None:
-    for seeds in ((0, 1, 2), (10, 11, 12), (3, 4, 5)):
-        assert not combine_runs(runs(*seeds)).disagreements
-
-
 def test_one_run_is_no_series() -> None:
-    for call in (
-        lambda: combine_runs(runs(0)),
-        lambda: combine("c", [Estimate(1.0, 0.1)]),
-    ):
-        with pytest.raises(DataError, match="run"):
-            call()
+    with pytest.raises(DataError, match="run"):
+        combine_runs(runs(0))
+    with pytest.raises(DataError, match="run"):
+        combine("c", [Estimate(1.0, 0.1)])
     with pytest.raises(DataError, match="run 2 does not determine c"):
         combine("c", [Estimate(1.0, 0.1), Estimate(1.0, float("inf"))])

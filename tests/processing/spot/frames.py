@@ -106,6 +106,21 @@ def errors_px(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float
     return np.array([(spot.x_px, spot.y_px) for spot in spots]) - truth
 
 
+def pulls(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same over the uncertainties that are claimed."""
+    return np.asarray(errors_px(spots, truth) / np.array([(spot.u_x_px, spot.u_y_px) for spot in spots]))
+
+
+def scatter_over_claimed(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of x and y, about a mean error that may be anything."""
+    claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
+    return np.asarray(errors_px(spots, truth).std(axis=0) / claimed.mean(axis=0))
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    return math.sqrt(np.mean(values**2))
+
+
 def rms_tolerance(values: int, deviations: float = 4.0) -> float:
     """Relative scatter of the RMS of so many independent normal values, times `deviations`."""
     return deviations / math.sqrt(2.0 * values)

@@ -8,7 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.spot import SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
-from tests.processing.spot.frames import LIT_EIGHT_BIT, errors_px, exposed, light, tilted_light
+from tests.processing.spot.frames import (
+    LIT_EIGHT_BIT,
+    exposed,
+    light,
+    pulls,
+    scatter_over_claimed,
+    tilted_light,
+)
 
 SHAPE = (96, 110)
 WARM_DN = 5.0
@@ -34,8 +41,8 @@ def sensors(extra: NDArray[np.float64]) -> tuple[SensorModel, SensorModel]:
 
 def bias_u(spots: list[Spot], truth: NDArray[np.float64]) -> float:
     """Mean error, in standard uncertainties, where it is largest: of x or y at one of the places."""
-    errors = errors_px(spots, truth) / np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
-    means = [errors[(truth == at).all(axis=1)].mean(axis=0) for at in np.unique(truth, axis=0)]
+    found = pulls(spots, truth)
+    means = [found[(truth == at).all(axis=1)].mean(axis=0) for at in np.unique(truth, axis=0)]
     return float(np.abs(means).max())
 
 
@@ -78,18 +85,17 @@ def test_a_learned_profile_leaves_them_out_too() -> None:
     rng = np.random.default_rng(4)
     extra = warm(rng)
     tracker = SpotTracker(sensors(extra)[1])
-    errors, claimed = [], []
-    for k in range(360):
+    spots, truth = [], []
+    for k in range(300):
         x, y = place(k)
         beam = light(SHAPE, x, y, 5, 120) + light(SHAPE, x + 4, y - 3, 8, 40)
         spot = tracker.track(exposed(beam + 30 * extra, rng, sensor=LIT_EIGHT_BIT))
         if tracker.model is not None:
-            errors.append((spot.x_px - x, spot.y_px - y))
-            claimed.append((spot.u_x_px, spot.u_y_px))
-            assert len(errors) == 1 or spot.flags & ~SpotFlag.LEARNED == 0
+            spots.append(spot)
+            truth.append((x, y))
+            assert len(spots) == 1 or spot.flags & ~SpotFlag.LEARNED == 0
     assert tracker.model is SpotModel.LEARNED
-    ratio = np.std(errors[1:], axis=0) / np.mean(claimed[1:], axis=0)
-    assert np.all(ratio < 1.2)
+    assert np.all(scatter_over_claimed(spots[1:], np.array(truth[1:])) < 1.2)
 
 
 @pytest.mark.parametrize("angle", [0.7, -0.7])

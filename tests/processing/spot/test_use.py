@@ -12,18 +12,7 @@ from hypothesis import strategies as st
 from processing.errors import DataError
 from processing.spot import MAX_CHOICE_FRAMES, BeamUse, SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, TWELVE_BIT, exposed, light
-
-
-def swinging(count: int, n: int = 96, sigma: float = 6.0) -> np.ndarray:
-    rng = np.random.default_rng(21)
-    return np.array(
-        [
-            exposed(
-                light((n, n), n / 2 + 5 * math.sin(0.05 * k), n / 2 + math.cos(0.05 * k), sigma, 180), rng
-            )
-            for k in range(count)
-        ]
-    )
+from tests.processing.spot.moved_beams import COMPACT
 
 
 def test_window_of_a_record_tracks_again() -> None:
@@ -104,17 +93,10 @@ def test_an_image_that_is_none_is_refused(image: np.ndarray) -> None:
         SpotTracker(EIGHT_BIT).track(image)
 
 
-def test_bad_settings_are_refused() -> None:
-    with pytest.raises(DataError, match="gain_e_per_dn"):
-        SensorModel(gain_e_per_dn=0, read_noise_e=1, full_scale_dn=255)
-    with pytest.raises(DataError, match="read_noise_e"):
-        SensorModel(gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255)
-    with pytest.raises(DataError, match="prnu"):
-        SensorModel(gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, prnu=-0.01)
-
-
-COMPACT = ["TEM00_200mm.pgm", "TEM00_300mm.pgm", "k-300mm.png", "k-500mm.png", "t-510mm.pgm"]
-"""The others of the folder (sb_*) are two lobes with a dark line between: no compact beam."""
+@pytest.mark.parametrize(("name", "value"), [("gain_e_per_dn", 0), ("read_noise_e", -1), ("prnu", -0.01)])
+def test_bad_settings_are_refused(name: str, value: float) -> None:
+    with pytest.raises(DataError, match=name):
+        SensorModel(**{"gain_e_per_dn": 1, "read_noise_e": 1, "full_scale_dn": 255, name: value})
 
 
 @pytest.mark.parametrize("name", COMPACT)

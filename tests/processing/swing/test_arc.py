@@ -1,6 +1,7 @@
 """The joint fit of several half-cycles: its state, what a prior and a left-out half-cycle do to it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,13 +21,8 @@ NO_PRIOR = np.full(STATES, np.inf)
 def true_state(half: int) -> np.ndarray:
     """Of the damped sinusoid at its turning point number `half`, at which its clock is zero."""
     lost = DAMPING_RATIO / math.sqrt(1 - DAMPING_RATIO**2)
-    state = np.zeros(STATES)
-    state[[AMPLITUDE, RATE, SHAPE + DAMPING, CENTRE]] = (
-        FIRST * math.exp(-math.pi * lost * half),
-        RATE_RAD_PER_S,
-        DAMPING_RATIO,
-        CENTRE_PX,
-    )
+    state, amplitude = np.zeros(STATES), FIRST * math.exp(-math.pi * lost * half)
+    state[[AMPLITUDE, RATE, SHAPE + DAMPING, CENTRE]] = amplitude, RATE_RAD_PER_S, DAMPING_RATIO, CENTRE_PX
     return state
 
 
@@ -89,14 +85,9 @@ def test_windows_are_the_zero_crossings() -> None:
 @pytest.mark.parametrize("left_out", [0, 2, HALVES - 1])
 def test_a_half_cycle_left_out_is_as_if_it_had_no_samples(left_out: int) -> None:
     halves = samples(2)
-    spoilt = halves[left_out]
-    halves[left_out] = HalfCycleSamples(
-        spoilt.reference_ns, spoilt.side, spoilt.tau_s, spoilt.deflection + 0.1, spoilt.u_deflection
-    )
+    halves[left_out] = replace(halves[left_out], deflection=halves[left_out].deflection + 0.1)
     without = list(halves)
-    without[left_out] = HalfCycleSamples(
-        spoilt.reference_ns, spoilt.side, spoilt.tau_s, np.full(40, np.nan), spoilt.u_deflection
-    )
+    without[left_out] = replace(halves[left_out], deflection=np.full(40, np.nan))
     arc, other = fitted(halves), fitted(without)
     for k in range(HALVES):
         x, covariance = state_on_arc(arc, k, left_out)
@@ -116,7 +107,6 @@ def test_a_prior_counts_by_its_weight() -> None:
     mean, sigma = x.copy(), NO_PRIOR.copy()
     mean[CENTRE], sigma[CENTRE] = x[CENTRE] + 6 * u, u
     both = fit_arc(x, (mean, sigma), halves, FIRST, (CENTRE,))
-    assert both is not None
     y, narrower = state_on_arc(both, 0)
     assert (y - x)[CENTRE] == pytest.approx(3 * u, rel=1e-6)
     assert narrower[CENTRE, CENTRE] == pytest.approx(u**2 / 2, rel=1e-6)

@@ -8,38 +8,29 @@ from processing.swing import HalfCycle, HalfCycleFlag, TurningPointDetector, wit
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.processing.swing.truth import air, half_cycle
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8", 1.7e-3)
 NOISE_RAD = 0.003 * ARCSEC_RAD
-SLOW_RAD = 0.02 * ARCSEC_RAD
 FRAMES_PER_S = 50.0
+FRAMES = round(330 * FRAMES_PER_S)
 
 
 def swings(slow: Floats | float, seed: int = 0) -> list[HalfCycle]:
     """Half-cycles of the first 330 s of a decay, seen in white noise and what is slow besides."""
     _, _, path = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=1, frames_per_s=FRAMES_PER_S)
-    path = path[: round(330 * FRAMES_PER_S)]
+    path = path[:FRAMES]
     seen = path + slow + NOISE_RAD * np.random.default_rng([seed, 21]).standard_normal(len(path))
     times_ns = np.arange(len(path), dtype=np.int64) * round(1e9 / FRAMES_PER_S)
     return TurningPointDetector().update(times_ns, seen, np.full(len(path), NOISE_RAD))
 
 
-def slow_noise(seed: int) -> Floats:
-    """Noise of 1/f as of air in the beam, from 0.02 to 5 Hz, with an r.m.s. of `SLOW_RAD`."""
-    count = 1 << 15
-    rng = np.random.default_rng([seed, 22])
-    frequency_hz = np.fft.rfftfreq(count, 1 / FRAMES_PER_S)
-    inside = (frequency_hz > 0.02) & (frequency_hz < 5.0)
-    size = np.where(inside, frequency_hz, np.inf) ** -0.5
-    out = np.fft.irfft(size * rng.standard_normal((2, len(size))).T.copy().view(np.complex128)[:, 0], count)
-    return np.asarray(SLOW_RAD * out / out.std())[: round(330 * FRAMES_PER_S)]
-
-
 def test_the_first_half_cycles_are_as_uncertain_as_the_noise_that_is_learned() -> None:
     clean = {swing.index: swing for swing in swings(0.0)}
     before, after = [], []
-    for seed in range(3):
-        found = swings(slow_noise(seed), seed)
+    for seed in range(2):
+        slow = air(FRAMES, FRAMES_PER_S, np.random.default_rng([seed, 22]))
+        found = swings(slow * ARCSEC_RAD, seed)
         for raw, weighted in zip(found[1:9], with_learned_weights(found)[1:9], strict=True):
             off = weighted.amplitude - clean[weighted.index].amplitude
             before.append(off / raw.u_amplitude)
@@ -57,19 +48,8 @@ def test_a_quiet_record_stays_as_it_is() -> None:
 
 def swing(index: int, u_amplitude: float, u_time_s: float, flags: int = 0) -> HalfCycle:
     """A half-cycle of a falling amplitude."""
-    half_s = np.nan if index == 0 else 2.0
-    return HalfCycle(
-        index,
-        2_000_000_000 * index,
-        u_time_s,
-        100.0 / (1 + index),
-        u_amplitude,
-        half_s,
-        u_time_s,
-        0.0,
-        1,
-        flags,
-    )
+    u = {"u_amplitude": u_amplitude, "u_turn_time_s": u_time_s, "u_half_period_s": u_time_s}
+    return half_cycle(index, amplitude=100.0 / (1 + index), flags=flags, **u)
 
 
 def test_time_counts_by_the_arc_and_nothing_becomes_smaller_or_later() -> None:

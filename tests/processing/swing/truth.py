@@ -1,27 +1,19 @@
 """Decays with known turning points: damped sinusoids and the integrated equation of motion."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import ContactParameters, PendulumOnBall
 from processing.swing import HalfCycle, KnownMotion, TurningPointDetector
+from processing.units import ARCSEC_RAD
+from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 
 Floats = NDArray[np.float64]
-ARCSEC_RAD = math.pi / 648000.0
 PX_PER_RAD = 250.0 / (124.0 * ARCSEC_RAD)
-MASS_KG, BALL_RADIUS_M, GRAVITY = 0.406, 6.05e-3, 9.80665
-
-CONTACTS = {
-    # b, p, c, n, T0, gamma, contact radius: the published ones, b with its lost power of ten
-    "glass": (37.33e-4, 0.944, 10.51e-9, 0.092, 4.071, 28.97e6, 66.18e-6),
-    "silicon": (7.06e-4, 0.815, 3.84e-9, 0.552, 4.072, 290.69e6, 59.16e-6),
-    "steel": (7.961e-4, 0.850, 6.601e-9, 0.461, 4.049, 95.46e6, 54.04e-6),
-}
 
 
 @dataclass(frozen=True)
@@ -40,19 +32,12 @@ class Record:
 
     def keep(self, kept: NDArray[np.bool_]) -> "Record":
         """Only these samples."""
-        return Record(
-            self.times_ns[kept],
-            self.deflection[kept],
-            self.u_deflection[kept],
-            self.turn_time_s,
-            self.turn_amplitude,
-        )
+        of_samples = {name: getattr(self, name)[kept] for name in ("times_ns", "deflection", "u_deflection")}
+        return replace(self, **of_samples)
 
     def plus(self, extra: Floats) -> "Record":
         """Something added to the deflection."""
-        return Record(
-            self.times_ns, self.deflection + extra, self.u_deflection, self.turn_time_s, self.turn_amplitude
-        )
+        return replace(self, deflection=self.deflection + extra)
 
 
 def sample_times_ns(duration_s: float, frames_per_s: float) -> NDArray[np.int64]:
@@ -117,17 +102,29 @@ def contact_decay(
 @cache
 def _integrated(contact: str, first_arcsec: float, frames_per_s: float) -> tuple[Floats, Floats, Floats]:
     """Turning times (s) and points (rad), and positions (rad) in frames, of a whole decay without noise."""
-    *law, radius_m = CONTACTS[contact]
-    pendulum = PendulumOnBall(MASS_KG, BALL_RADIUS_M, radius_m, GRAVITY)
     return driven_path(
-        ContactParameters(*law),
-        pendulum,
-        q=0.0,
-        seed=0,
-        first_arcsec=first_arcsec,
-        last_arcsec=1.0,
+        *paper_pair(contact), q=0.0, seed=0, first_arcsec=first_arcsec, last_arcsec=1.0,
         frames_per_s=frames_per_s,
-    )
+    )  # fmt: skip
+
+
+def air(count: int, rate_hz: float, rng: np.random.Generator) -> Floats:
+    """0.02 arcsec of 1/f noise from 0.01 to 10 Hz."""
+    frequencies_hz = np.fft.rfftfreq(2 * count, 1 / rate_hz)
+    inside = (frequencies_hz > 0.01) & (frequencies_hz < 10.0)
+    size = np.zeros(len(frequencies_hz))
+    size[inside] = 0.02 * np.sqrt(count * rate_hz / 2 / (math.log(1000.0) * frequencies_hz[inside]))
+    normals = rng.standard_normal((2, len(size)))
+    return np.asarray(np.fft.irfft(size * (normals[0] + 1j * normals[1]), 2 * count)[:count])
+
+
+def half_cycle(index: int, **changed: float) -> HalfCycle:
+    """One of an even swing with half-periods of 2 s."""
+    even = HalfCycle(
+        index=index, turn_time_ns=2_000_000_000 * index, u_turn_time_s=1e-4, amplitude=0.1, u_amplitude=1e-5,
+        half_period_s=2.0, u_half_period_s=1e-4, centre=0.0, side=1 - 2 * (index % 2), flags=0,
+    )  # fmt: skip
+    return replace(even, **changed)  # type: ignore[arg-type]
 
 
 def detect(record: Record, block: int = 10_000, known: KnownMotion | None = None) -> list[HalfCycle]:

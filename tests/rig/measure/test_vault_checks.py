@@ -18,7 +18,7 @@ from rig.measure.preflight import TrialFrames, rest_checks
 from rig.settings import ReferenceSettings, load_configuration
 from rig.settings.sections import PreflightSettings
 from rig.terminal import Verdict
-from tests.processing.test_seismometer_at_rest import FRAMES_PER_S, shaken
+from tests.processing.test_pendulum_at_rest import FRAMES_PER_S, shaken
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 LIMITS = PreflightSettings()

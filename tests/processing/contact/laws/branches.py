@@ -9,6 +9,7 @@ import scipy
 from numpy.typing import NDArray
 
 from processing.swing import TurningPoints
+from tests.processing.fit.decays import with_noise
 
 Array = NDArray[np.float64]
 
@@ -78,23 +79,15 @@ _at_rest.terminal = True  # type: ignore[attr-defined]
 
 
 def constant_decay(
-    c: float, period0_s: float, initial_rad: float, count: int, u_rad: float, seed: int
+    c: float, period0_s: float, initial_rad: float, count: int, u_arcsec: float, seed: int
 ) -> TurningPoints:
     """Turning points of the equation of motion itself, with noise: arcs of a harmonic oscillation.
 
     About the shifted rest positions +c and -c, half a period each.
     """
-    rng = np.random.default_rng(seed)
     phi = [initial_rad]
     for _ in range(count - 1):
         rest = c if phi[-1] > 0 else -c
         phi.append(2 * rest - phi[-1])
-    amplitude = np.abs(np.array(phi))
-    u_time = u_rad / (amplitude * 2 * np.pi / period0_s)
-    return TurningPoints(
-        np.arange(count, dtype=np.int64),
-        0.25 + 0.5 * period0_s * np.arange(count) + u_time * rng.standard_normal(count),
-        u_time,
-        amplitude + u_rad * rng.standard_normal(count),
-        np.full(count, u_rad),
-    )
+    time_s = 0.25 + 0.5 * period0_s * np.arange(count)
+    return with_noise(time_s, np.abs(np.array(phi)), period0_s, u_arcsec, np.random.default_rng(seed))
