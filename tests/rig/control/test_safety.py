@@ -1,8 +1,10 @@
 """Laser and magnet switch off without the host, and no power above a limit is accepted."""
 
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,12 +20,36 @@ from tests.rig.control.wires import FirmwareBoard
 # The watchdog's time, a turn of the loop, and a machine that is busy with other tests.
 DARK_WITHIN_S = 30.0
 WATCHDOG_S = 1.5
+LIGHTS = f"""
+import sys, time
+from rig.control.controller import Controller
+from rig.control.service import ControlService
+from rig.control.settings import ControllerSettings
+port, ending = sys.argv[1:]
+settings = ControllerSettings(
+    kind="serial", port=port, timeout_s=0.5, heartbeat_s=0.1, watchdog_s={WATCHDOG_S}
+)
+service = ControlService(Controller(settings, 0.001), settings)
+service.start()
+service.wait_open(10.0)
+service.set_laser_power_w(0.0005).result(5.0)
+service.laser_on().result(5.0)
+service.submit(lambda c: c.hold()).result(5.0)
+print("lit", flush=True)
+sys.stdin.readline()
+if ending == "raises":
+    raise RuntimeError("the program's own fault")
+if ending == "closes":
+    service.close()
+time.sleep(60.0)
+"""
+"""A program that switches laser and magnet on, and then ends in a given way."""
 
 
 @contextmanager
 def lit_by_another_program(board: FirmwareBoard, ending: str) -> Iterator["subprocess.Popen[str]"]:
     with subprocess.Popen(
-        [sys.executable, "-m", "tests.rig.control.host_program", board.port, ending],
+        [sys.executable, "-c", LIGHTS, board.port, ending],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -67,6 +93,7 @@ def test_however_a_program_ends_the_board_goes_dark(make_board: Callable[..., Fi
 
 def test_cable_pulled_while_the_program_lives(make_board: Callable[..., FirmwareBoard]) -> None:
     board = make_board(through_wire=True)
+    before = len(os.listdir("/proc/self/fd")), threading.active_count()
     control = settings_for(board.port, timeout_s=0.2, heartbeat_s=0.1, watchdog_s=1.5)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
@@ -86,6 +113,7 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
         board.wait_for(connected_again, 30.0)
         assert board.is_safe
         assert any("no reply" in text or "no session" in text for text in said)
+    assert (len(os.listdir("/proc/self/fd")), threading.active_count()) == before
 
 
 def test_a_hung_board_goes_dark_before_it_listens_again(board: FirmwareBoard) -> None:

@@ -111,19 +111,32 @@ class TestService:
             refused.result(0)
         assert instrument.received.count("l0") == count
 
-    def test_more_light_than_allowed_darkens_and_withdraws_the_permit(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    @pytest.mark.parametrize(
+        ("changed", "said"),
+        [
+            ({"measures": 0.050}, "50 mW measured, 30 mW allowed by max_power_w"),
+            ({"mode": 4}, "modulation"),
+            ({"on": True}, "it is lit, but not by this program"),
+        ],
+    )
+    def test_what_must_not_be_darkens_and_withdraws_the_permit(
+        self,
+        service: LaserService,
+        instrument: FakeCobolt,
+        permit: LightPermit,
+        changed: dict[str, object],
+        said: str,
     ) -> None:
-        turn(service)
-        service.set_power_w(0.01)
-        service.enable()
-        turn(service)
+        if "on" in changed:
+            turn(service)
+            turn(service)
+        else:
+            lit(service, instrument)
         service.take_events()
-        instrument.measures = 0.050
+        vars(instrument).update(changed)
         turn(service)
         assert not instrument.on
-        said = "50 mW measured, 30 mW allowed by max_power_w"
-        assert service.take_events() == (f"laser off: {said}",)
+        assert [said in text for text in service.take_events()] == [True]
         assert said in permit.refusal
         instrument.measures = None
         refused = service.enable()
@@ -131,29 +144,6 @@ class TestService:
         with pytest.raises(DeviceError, match=said):
             refused.result(0)
         assert not instrument.on
-
-    def test_modulation_switched_on_while_it_is_lit_darkens(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        lit(service, instrument)
-        instrument.mode = 4
-        turn(service)
-        assert not instrument.on
-        assert "modulation" in permit.refusal
-
-    def test_a_laser_that_is_lit_at_its_panel_is_darkened_and_that_is_latched(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        for _ in range(2):
-            turn(service)
-        instrument.light(True)
-        turn(service)
-        assert not instrument.on
-        assert "it is lit, but not by this program" in permit.refusal
-        refused = service.enable()
-        turn(service)
-        with pytest.raises(DeviceError, match="it is lit, but not"):
-            refused.result(0)
 
     def test_an_off_outdates_a_light_that_still_waits(
         self, service: LaserService, instrument: FakeCobolt
