@@ -27,7 +27,7 @@ from rig.view.drawing import is_drawn
 from rig.view.show import setup_of, show_record
 from tests.rig.view import scene as view_scene
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
-from tests.rig.view.rrd_contents import column, measured, scalars
+from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 
 def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
@@ -50,6 +50,8 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert scalars(rrd, "/losses/missing_frames")[1][-1] == 1
     assert scalars(rrd, "/losses/lost_spots")[1][-1] == 1
     assert column(rrd, "/events", "TextLog:text")[1] == [["start: first frame"], ["stop: time limit"]]
+    # a rig without a reference spot has no such curve
+    assert not [path for path in entities(rrd) if "reference" in path]
     # the lost spot breaks the trajectory
     _, strips = column(rrd, "/lissajous/equal/trajectory/recent", "LineStrips2D:strips")
     assert sum(len(strip[0]) - 1 for strip in strips) == len(seen) - 1 - 2
