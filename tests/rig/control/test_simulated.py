@@ -28,7 +28,7 @@ class Rig(RigInputs):
 
 def test_a_simulated_rig_is_driven_through_the_real_protocol_and_its_watchdog_needs_nobody() -> None:
     rig = Rig()
-    settings = ControllerSettings(kind="simulated", heartbeat_s=0.05, watchdog_s=0.5)
+    settings = ControllerSettings(kind="simulated", heartbeat_s=0.05, watchdog_s=1.5)
     controller = simulated_controller(settings, 0.001, rig, interlock_closed=lambda: rig.closed)
     with ControlService(controller, settings) as service:
         assert service.wait_open().serial == "SIMULATED"
