@@ -428,7 +428,9 @@ def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
         ask("LAS:POW:LIM 1e-3")
         ask("SYST:SESS:END")
 
-        @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+        examples = 150 if isinstance(board, SteppedBoard) else 40
+
+        @settings(max_examples=examples, suppress_health_check=list(HealthCheck), database=None)
         @given(st.lists(SENDINGS, min_size=1, max_size=12))
         @example(
             [("command", "LAS:STAT ON"), ("command", "LAS:POW 1e-3"), ("command", "LAS:POW 1.0000001e-3")]

@@ -33,9 +33,7 @@ class Bench:
         """A service of the board, whose air is read once a period, with these settings."""
         settings = ControllerSettings.model_validate({"kind": "serial", "port": "stepped", **stated})
         controller = Controller(settings, 0.001, self.board.open_line)
-        self.service = ControlService(
-            controller, settings, environment_period_s=period_s, permit=self.permit
-        )
+        self.service = ControlService(controller, settings, environment_period_s=period_s, permit=self.permit)
         return self.service
 
     def turn(self) -> float:
@@ -243,9 +241,7 @@ def test_while_frames_have_stalled_the_board_gets_no_heartbeat(bench: Bench) -> 
 
 
 @pytest.mark.parametrize("lost", [False, True])
-def test_an_opening_of_20_ms_latches_once_though_the_line_about_it_was_lost(
-    bench: Bench, lost: bool
-) -> None:
+def test_an_opening_of_20_ms_latches_once_though_the_line_about_it_was_lost(bench: Bench, lost: bool) -> None:
     """Closed again before it was looked at: the trip tells, or the number of the board's latch."""
     bench.light()
     bench.permit.begin()
@@ -362,7 +358,9 @@ def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
     began_ms = bench.board.ticks_ms()
     fault(line)
     bench.live(6.0)
-    dark = [ms for ms, name, values in bench.board.said if name == "laser" and ms > began_ms and not values[0]]
+    dark = [
+        ms for ms, name, values in bench.board.said if name == "laser" and ms > began_ms and not values[0]
+    ]
     assert dark[0] - began_ms <= 1500 + 5
 
 

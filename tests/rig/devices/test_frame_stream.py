@@ -119,7 +119,6 @@ class Hanging(ScriptedCamera):
         self.reads.clear()
         return None
 
-
     def stop(self) -> None:
         """The driver's `read` returns some time later."""
         threading.Timer(0.2, self.over.set).start()
@@ -230,7 +229,8 @@ def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("awake_s", "with_sleep_s", "said"), [(12.75, 12.75, ""), (0.02, 600.02, "slept for 600 s, in which its clock")]
+    ("awake_s", "with_sleep_s", "said"),
+    [(12.75, 12.75, ""), (0.02, 600.02, "slept for 600 s, in which its clock")],
 )
 def test_after_a_sleep_no_time_is_believed_but_after_a_standstill(
     awake_s: float, with_sleep_s: float, said: str

@@ -164,7 +164,11 @@ def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(
 def test_without_the_relay_sigterm_darkens_it(board: FirmwareBoard, tmp_path: Path) -> None:
     record, said = tmp_path / "out" / "run-1.mcap", tmp_path / "said"
     with closing(FakeObis()) as instrument:
-        keys = {"laser__kind": '"obis"', "laser__port": json.dumps(instrument.port), "laser__timeout_s": "2.0"}
+        keys = {
+            "laser__kind": '"obis"',
+            "laser__port": json.dumps(instrument.port),
+            "laser__timeout_s": "2.0",
+        }
         words = command(tmp_path / "out", board, **keys, controller__watchdog_s="5.0")
         with running(words, said) as process:
 

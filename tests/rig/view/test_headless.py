@@ -69,13 +69,11 @@ VIEWS: dict[str, tuple[str, ...]] = {
     ),
 }
 COLOURS = {
-    "measuring": (palette.X_COLOUR, palette.BLUE, palette.Y_COLOUR, palette.AMPLITUDE_COLOUR)
-    + (palette.PERIOD_COLOUR, *palette.LOSSES[:2], palette.SKY_BLUE, palette.VERMILLION),
-    "balancing": (palette.X_COLOUR, palette.Y_COLOUR, palette.VERMILLION, palette.YELLOW)
-    + (palette.BLUISH_GREEN, palette.REDDISH_PURPLE),
-    "analysing": (palette.DATA_COLOUR, palette.EXACT_FIT_COLOUR, palette.ASYMPTOTIC_FIT_COLOUR),
+    "measuring": "TRAJECTORY_COLOUR X_COLOUR BLUE Y_COLOUR AMPLITUDE_COLOUR PERIOD_COLOUR SKY_BLUE VERMILLION",
+    "balancing": "TRAJECTORY_COLOUR X_COLOUR Y_COLOUR VERMILLION YELLOW BLUISH_GREEN REDDISH_PURPLE",
+    "analysing": "TRAJECTORY_COLOUR DATA_COLOUR EXACT_FIT_COLOUR ASYMPTOTIC_FIT_COLOUR",
 }
-"""What is drawn in each layout beside the trajectory; where, its reference picture holds."""
+"""Names of what is drawn in each layout; where, its reference picture holds."""
 
 
 @pytest.mark.parametrize("layout", ["measuring", "balancing", "analysing"])
@@ -102,8 +100,8 @@ def test_layout(layout: LayoutName, tmp_path: Path) -> None:
     worst, tile, mean = worst_tile(window, name)
     assert worst < TILE_LIMIT, f"{name}: tile {tile} differs by {worst:.1f} of 255 on average"
     assert mean < 1.5
-    for colour in (palette.TRAJECTORY_COLOUR, *COLOURS[layout]):
-        assert pixels_of(window, colour) > 60, f"nothing drawn in {colour}"
+    for colour in COLOURS[layout].split():
+        assert pixels_of(window, getattr(palette, colour)) > 60, f"nothing drawn in {colour}"
 
 
 def test_the_trajectory_points_up_and_fades(tmp_path: Path) -> None:
