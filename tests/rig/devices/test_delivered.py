@@ -1,8 +1,9 @@
 """What a driver delivers that no camera may: one clear line, whatever it is."""
 
+import re
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -225,15 +226,15 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
     stream = FrameStream(Driver(make), CameraSettings(), timeout_s=0.2)  # type: ignore[arg-type]
     stream.start_camera()
     taken = 0
-    with pytest.raises(DeviceError, match=r"read\(\) has not returned .* its driver hangs"):
+    with suppress(DeviceError):
         stream.begin()
-        while not stream.drained:
-            taken += len(stream.take(64, 0.1))
-        raise stream.failure or AssertionError
+    while not stream.drained:
+        taken += len(stream.take(64, 0.1))
     let_go.set()
     stream.close()
     assert taken == count
-    assert "its driver hangs" in stream.end_reason
+    assert re.search(r"read\(\) has not returned .* its driver hangs", stream.end_reason)
+    assert isinstance(stream.failure, DeviceError)
 
 
 def test_a_slow_camera_is_waited_for_two_frame_times_whoever_reads_it(tmp_path: Path) -> None:
