@@ -58,60 +58,62 @@ def sensor(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Sensor:
     return found
 
 
+class Read:
+    """A service whose sensor says lines unasked."""
+
+    def __init__(self, sensor: Sensor, **stated: float) -> None:
+        settings = EnvironmentSettings.model_validate(
+            {"kind": "serial", "port": "x", "pattern": THREE, **stated}
+        )
+        self.sensor, self.service = sensor, AmbientSensor(settings)
+        self.pause_s = turn(self.service)
+
+    def say(self, data: bytes) -> AmbientReading:
+        self.sensor.lines[-1].say(data)
+        turn(self.service)
+        return self.service.latest
+
+
 def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, clock: Clock) -> None:
-    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
-    assert turn(service) == 0.0
-    assert math.isnan(service.latest.temperature_c)
-    (line,) = sensor.lines
-    line.say(b"T=21.5 H=40.25 P=1013.")
-    turn(service)
-    line.say(b"25\r\n")
-    turn(service)
-    assert service.latest == AmbientReading(21.5, 40.25, 101325.0)
-    assert service.last_reading_ns == clock.monotonic_ns()
-    line.say(b"T=22.0 P=1000\n")
-    turn(service)
-    assert service.latest.temperature_c == 22.0
-    assert math.isnan(service.latest.humidity_percent)
-    assert service.lines_without_reading == 0
+    read = Read(sensor)
+    assert read.pause_s == 0.0
+    assert math.isnan(read.say(b"T=21.5 H=40.25 P=1013.").temperature_c)
+    assert read.say(b"25\r\n") == AmbientReading(21.5, 40.25, 101325.0)
+    assert read.service.last_reading_ns == clock.monotonic_ns()
+    assert read.say(b"T=22.0 P=1000\n").temperature_c == 22.0
+    assert math.isnan(read.service.latest.humidity_percent)
+    assert read.service.lines_without_reading == 0
 
 
 def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
-    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
-    turn(service)
+    read = Read(sensor)
     for number, text in enumerate((b"garbage\xff\r\n", b"T=1e400 P=1000\n", b"T=. P=1000\n"), 1):
-        sensor.lines[0].say(text)
-        turn(service)
-        assert service.lines_without_reading == number
-        assert service.last_line == text.decode("latin-1").strip()
-        assert math.isnan(service.latest.temperature_c)
+        assert math.isnan(read.say(text).temperature_c)
+        assert read.service.lines_without_reading == number
+        assert read.service.last_line == text.decode("latin-1").strip()
     # an empty line is none
-    sensor.lines[0].say(b"\r\n")
-    turn(service)
-    assert service.lines_without_reading == 3
+    read.say(b"\r\n")
+    assert read.service.lines_without_reading == 3
 
 
 @pytest.mark.parametrize(
-    ("line", "read"),
+    ("line", "expected"),
     [
-        (b"T=-999 H=40 P=1013\n", AmbientReading(math.nan, 40.0, 101300.0)),
-        (b"T=-127.00 P=1013\n", AmbientReading(math.nan, math.nan, 101300.0)),
-        (b"T=20 H=999.9 P=0\n", AmbientReading(20.0)),
+        (b"T=-999 H=40 P=1013\n", (math.nan, 40.0, 101300.0)),
+        (b"T=-127.00 P=1013\n", (math.nan, math.nan, 101300.0)),
+        (b"T=20 H=999.9 P=0\n", (20.0, math.nan, math.nan)),
     ],
 )
-def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, read: AmbientReading) -> None:
-    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
-    turn(service)
-    sensor.lines[0].say(line)
-    turn(service)
-    found = service.latest
-    assert (found.temperature_c, found.humidity_percent, found.pressure_pa) == pytest.approx(
-        (read.temperature_c, read.humidity_percent, read.pressure_pa), nan_ok=True
-    )
-    assert service.lines_without_reading == 0
-    sensor.lines[0].say(b"T=-999 P=0\n")
-    turn(service)
-    assert service.lines_without_reading == 1
+def test_what_a_broken_sensor_says_is_no_reading(
+    sensor: Sensor, line: bytes, expected: tuple[float, ...]
+) -> None:
+    read = Read(sensor)
+    found = read.say(line)
+    values = found.temperature_c, found.humidity_percent, found.pressure_pa
+    assert values == pytest.approx(expected, nan_ok=True)
+    assert read.service.lines_without_reading == 0
+    read.say(b"T=-999 P=0\n")
+    assert read.service.lines_without_reading == 1
 
 
 def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
@@ -132,23 +134,20 @@ def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Cl
 
 
 def test_an_old_reading_is_not_passed_on_as_the_present_one(sensor: Sensor, clock: Clock) -> None:
-    settings = EnvironmentSettings(kind="serial", port="x", pattern=THREE, stale_after_s=30.0)
-    service = AmbientSensor(settings)
-    turn(service)
-    sensor.lines[0].say(b"T=22.0 P=1000\n")
-    turn(service)
+    read = Read(sensor, stale_after_s=30.0)
+    read.say(b"T=22.0 P=1000\n")
     clock.sleep(29.9)
-    assert service.latest.temperature_c == 22.0
+    assert read.service.latest.temperature_c == 22.0
     clock.sleep(0.2)
-    assert math.isnan(service.latest.temperature_c)
-    assert math.isnan(service.latest.pressure_pa)
+    assert math.isnan(read.service.latest.temperature_c)
+    assert math.isnan(read.service.latest.pressure_pa)
     # what it said is still there to be looked at
-    assert service.last_line == "T=22.0 P=1000"
+    assert read.service.last_line == "T=22.0 P=1000"
 
 
 def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> None:
-    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
-    turn(service)
+    read = Read(sensor)
+    service = read.service
     sensor.plugged_in = False
     assert turn(service) == 1.0
     assert service.last_error == "sensor: unplugged"
@@ -158,9 +157,7 @@ def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> N
     sensor.plugged_in = True
     assert turn(service) == 0.0
     assert service.last_error == ""
-    sensor.lines[1].say(b"T=22.0 P=1000\n")
-    turn(service)
-    assert service.latest.temperature_c == 22.0
+    assert read.say(b"T=22.0 P=1000\n").temperature_c == 22.0
 
 
 # Worked example of Bosch's BMP280 data sheet, section 3.12, of the same formulas.

@@ -102,20 +102,14 @@ def test_axes_step_down_with_the_amplitude_whatever_the_blocks(tmp_path: Path, b
     assert np.all(late_s < 2.5 * PERIOD_S + 2 * block * 0.02)
 
 
-def test_axes_hold_a_trajectory_that_rests_far_from_zero(tmp_path: Path) -> None:
-    rrd = tmp_path / "rest.rrd"
-    draw(rrd, 64, 20.0, 40.0 + decay(20.0))
-    _, reach = reaches(rrd)
+def test_axes_hold_a_trajectory_that_rests_far_from_zero_and_grow_with_a_release(tmp_path: Path) -> None:
+    draw(tmp_path / "rest.rrd", 64, 20.0, 40.0 + decay(20.0))
     # drawn for 20 arcsec at first; what swings from 20 to 60, and rests at 40, needs more
-    np.testing.assert_allclose(reach, [30.0, 70.0, 50.0], rtol=1e-6)
-
-
-def test_axes_grow_with_a_release(tmp_path: Path) -> None:
-    rrd = tmp_path / "release.rrd"
+    np.testing.assert_allclose(reaches(tmp_path / "rest.rrd")[1], [30.0, 70.0, 50.0], rtol=1e-6)
     time_s = np.arange(0, 40, 0.02)
     y = np.where(time_s < 20, 0.1, 100 * np.cos(2 * np.pi * (time_s - 20) / PERIOD_S))
-    draw(rrd, 50, 120.0, y)
-    times_s, reach = reaches(rrd)
+    draw(tmp_path / "release.rrd", 50, 120.0, y)
+    times_s, reach = reaches(tmp_path / "release.rrd")
     assert reach.min() < 1.0
     assert reach[-1] == pytest.approx(150.0)
     assert times_s[-1] == pytest.approx(20.0, abs=0.1)
