@@ -38,10 +38,11 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     times_s, x = scalars(rrd, "/deflection/x")
     np.testing.assert_allclose(x, seen.shown_x, rtol=1e-12)
     assert times_s[[0, -1]] == pytest.approx([0.0, 19.98], abs=1e-9)
-    shown = [measured(rrd, f"/{name}")[1] for name in ("amplitude", "period")]
-    assert shown[0] == pytest.approx([swing.amplitude / ARCSEC_RAD for swing in swings])
-    periods_s = [2 * swing.half_period_s for swing in swings]
-    assert shown[1] == pytest.approx([period_s for period_s in periods_s if not math.isnan(period_s)])
+    amplitudes = [(swing.amplitude / ARCSEC_RAD, swing.u_amplitude / ARCSEC_RAD) for swing in swings]
+    periods_s = [(2 * swing.half_period_s, 2 * swing.u_half_period_s) for swing in swings]
+    periods_s = [pair for pair in periods_s if not math.isnan(pair[0])]
+    for name, expected in (("amplitude", amplitudes), ("period", periods_s)):
+        np.testing.assert_allclose(np.transpose(measured(rrd, f"/{name}")[1:]), expected, rtol=1e-5)
     angle_deg = [math.degrees(balance.line_angle_rad) for balance in balances]
     assert measured(rrd, "/balance/line_angle")[1] == pytest.approx(angle_deg)
     _, ratio, u_ratio = measured(rrd, "/balance/transverse_ratio")
