@@ -40,7 +40,7 @@ def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
     rrd = tmp_path / "fitted.rrd"
-    show_record(make_record(tmp_path / "alone.mcap", 60.0), rrd=rrd, layout="analysing")
+    show_record(make_record(tmp_path / "alone.mcap", 100.0), rrd=rrd, layout="analysing")
     drawn = entities(rrd)
     for panel in PANELS:
         assert f"/analysis/{panel}/axes/grid" in drawn, panel

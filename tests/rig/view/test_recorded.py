@@ -59,23 +59,27 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert np.isfinite(np.concatenate([np.array(strip[0]) for strip in strips])).all()
 
 
-def test_a_cross_stands_where_the_spot_of_a_preview_is(tmp_path: Path) -> None:
+def test_a_cross_stands_where_the_spot_of_a_preview_is_and_a_lost_reference_nowhere(tmp_path: Path) -> None:
     metadata = {"frame": {"width_px": "640", "height_px": "320"}}
     with RecordWriter(tmp_path / "run.mcap", EPOCH_NS, metadata=metadata) as writer:
         spot = Spot(420.0, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0)
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
-        writer.write_spots([0], [0], [0], [spot], nowhere(1))
+        lost = spot._replace(x_px=999.0, flags=int(SpotFlag.LOST))
+        references = [spot, lost, spot._replace(x_px=423.0)]
+        writer.write_spots([0, 1, 2], [0] * 3, [0] * 3, [spot] * 3, nowhere(3), references)
         writer.write_preview(Frame(image, 0, 0, 0))
     show_record(tmp_path / "run.mcap", rrd=tmp_path / "shown.rrd")
     (crosses,) = column(tmp_path / "shown.rrd", "/camera/spot", "LineStrips2D:strips")[1]
     # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
     # coordinates
     assert np.mean(np.array(crosses).reshape(-1, 2), axis=0) == pytest.approx([210.5, 80.5], abs=1e-3)
+    reference = scalars(tmp_path / "shown.rrd", "/reference/x")[1]
+    assert reference == pytest.approx([0.0, math.nan, 3.0], nan_ok=True)
 
 
 def nowhere(count: int) -> Deflections:
     none = np.full(count, math.nan)
-    return Deflections(np.zeros(count, np.int64), none, none, none, none, DeflectionUnit.RAD)
+    return Deflections(10**9 * np.arange(count), none, none, none, none, DeflectionUnit.RAD)
 
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
