@@ -289,16 +289,13 @@ class FakeLdc500(Instrument):
         match header:
             case "*IDN?":
                 return "Stanford_Research_Systems,LDC501,s/n098023,v1.02\r\n"
-            case "LEXE?":
+            case "LEXE?" | "LCME?":
                 # an error is entered some time after the command
                 if time.monotonic() - self.obeyed_s < self.error_after_s:
                     return "0\r\n"
-                code, self.lexe = self.lexe, 0
-                return f"{code}\r\n"
-            case "LCME?":
-                if time.monotonic() - self.obeyed_s < self.error_after_s:
-                    return "0\r\n"
-                code, self.lcme = self.lcme, 0
+                register = header.rstrip("?").lower()
+                code = getattr(self, register)
+                setattr(self, register, 0)
                 return f"{code}\r\n"
             case "ILOC?":
                 return "CLOSED\r\n" if self.interlock_closed else "OPEN\r\n"

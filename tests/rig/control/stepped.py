@@ -7,6 +7,7 @@ the real interpreter is tested with `wires` and `instruments`.
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
@@ -16,6 +17,7 @@ from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
 from rig.control.protocol import checksum
 from rig.control.serial_port import LineReader, PortLost
+from rig.control.simulated import SimulatedBoard
 from tests.rig.control import instruments
 from tests.rig.control.instruments import Instrument
 
@@ -39,14 +41,10 @@ class Clock:
         self.now_ns += round(duration_s * 1e9)
 
 
-class SteppedBoard:
+class SteppedBoard(SimulatedBoard):
     """Pins whose outputs are remembered with their times, and a loop that turns while it is waited for."""
 
-    serial, fault = "TEST0001", ""
-    laser_max_w = 0.001
-    clamp_closed = False
-    latches_at_start = False
-    starter_max_ms, brake_max_ms = 5000, 300
+    serial, laser_max_w, brake_max_ms = "TEST0001", 0.001, 300
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -55,13 +53,15 @@ class SteppedBoard:
         self.sensor_works = self.relay_works = self.connected = True
         self._reset_wanted = False
         self.said: list[tuple[int, str, list[float]]] = []
-        self.to_host: Callable[[bytes], bytes] = bytes
-        self.to_board: Callable[[bytes], bytes] = bytes
+        self.to_host: Callable[[bytes], bytes] = bytes  # type: ignore[assignment]
+        self.to_board: Callable[[bytes], bytes] = bytes  # type: ignore[assignment]
         self._heard, self._sent = b"", b""
         self.pressed = False
         self.light: bool | None = None
-        self.latch = (0, "NONE")
+        self._latch = (0, "NONE")
         self._lit = False
+        for name in ("pulse", "magnet", "starter", "clamp", "brake"):
+            setattr(self, f"set_{name}", partial(self._say, name))
         self._boot()
         self.sent()  # its greeting
 
@@ -137,38 +137,14 @@ class SteppedBoard:
     def laser_enabled(self) -> bool:
         return self._lit
 
-    def set_pulse(self, delay_us: float, width_us: float) -> None:
-        self._say("pulse", delay_us, width_us)
-
-    def set_magnet(self, on: bool) -> None:
-        self._say("magnet", on)
-
-    def set_starter(self, on: bool) -> None:
-        self._say("starter", on)
-
-    def set_clamp(self, on: bool) -> None:
-        self._say("clamp", on)
-
-    def set_brake(self, on: bool) -> None:
-        self._say("brake", on)
-
     def interlock_closed(self) -> bool:
         return self.closed
-
-    def interlock_opened(self) -> bool:
-        return False
 
     def button_pressed(self) -> bool:
         return self.pressed
 
     def light_seen(self) -> bool | None:
         return self.light
-
-    def stored_latch(self) -> tuple[int, str]:
-        return self.latch
-
-    def store_latch(self, number: int, cause: str) -> None:
-        self.latch = (number, cause)
 
     def environment(self) -> tuple[float, float, float]:
         if not self.sensor_works:
@@ -177,12 +153,6 @@ class SteppedBoard:
 
     def ticks_ms(self) -> int:
         return self.clock.now_ns // 1_000_000
-
-    def ticks_diff(self, later: int, earlier: int) -> int:
-        return later - earlier
-
-    def ticks_add(self, start: int, delta_ms: int) -> int:
-        return start + delta_ms
 
     # -- the host's end of the cable -------------------------------------------
 

@@ -1,11 +1,13 @@
 """Laser and magnet switch off without the host, and no power above a limit is accepted."""
 
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 
@@ -18,55 +20,69 @@ from tests.rig.control.wires import FirmwareBoard
 # The watchdog's time, a turn of the loop, and a machine that is busy with other tests.
 DARK_WITHIN_S = 30.0
 WATCHDOG_S = 1.5
+LIGHTS = f"""
+import os, signal, sys
+from rig.control.controller import Controller
+from rig.control.service import ControlService
+from rig.control.settings import ControllerSettings
 
+def fail(*_):
+    raise RuntimeError("the program's own fault")
 
-@contextmanager
-def lit_by_another_program(board: FirmwareBoard, ending: str) -> Iterator["subprocess.Popen[str]"]:
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.rig.control.host_program", board.port, ending],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline() == "lit\n"
-        assert board.outputs()["laser"] == [1, 0.0005]
-        assert board.outputs()["magnet"] == [1]
-        yield program
-        program.kill()
+signal.signal(signal.SIGUSR1, fail)
+signal.signal(signal.SIGUSR2, lambda *_: service.close())
+for port in sys.argv[1:]:
+    if os.fork() == 0:
+        settings = ControllerSettings(
+            kind="serial", port=port, timeout_s=0.5, heartbeat_s=0.1, watchdog_s={WATCHDOG_S}
+        )
+        service = ControlService(Controller(settings, 0.001), settings)
+        service.start()
+        service.wait_open(10.0)
+        service.set_laser_power_w(0.0005).result(5.0)
+        service.laser_on().result(5.0)
+        service.submit(lambda c: c.hold()).result(5.0)
+        print(port, os.getpid(), flush=True)
+        while True:
+            signal.pause()
+signal.pause()
+"""
+"""Programs that switch laser and magnet of a board each on, and fail or close when they are told to."""
 
 
 @pytest.mark.slow
 def test_however_a_program_ends_the_board_goes_dark(make_board: Callable[..., FirmwareBoard]) -> None:
     """At the same time, each with a board of its own."""
-    with ExitStack() as programs:
-        boards, begun = {}, {}
-        for ending in ("raises", "closes", "is killed", "is stopped"):
-            boards[ending] = make_board()
-            begun[ending] = programs.enter_context(lit_by_another_program(boards[ending], ending))
-        # Alive, they stay lit for longer than the watchdog waits: the heartbeat does its work.
-        time.sleep(2 * WATCHDOG_S)
-        for ending, program in begun.items():
-            assert boards[ending].outputs()["laser"] == [1, 0.0005]
-            if ending == "is killed":
-                program.send_signal(signal.SIGKILL)
-            elif ending == "is stopped":
-                program.send_signal(signal.SIGSTOP)
-            else:
-                assert program.stdin is not None
-                program.stdin.write("\n")
-                program.stdin.flush()
-        for board in boards.values():
-            board.wait_for(lambda board=board: board.is_safe, DARK_WITHIN_S)  # type: ignore[misc]
-        begun["is stopped"].send_signal(signal.SIGCONT)
-        # It wakes up and finds its session gone; nothing lights by itself.
-        time.sleep(0.5)
-        assert all(board.is_safe for board in boards.values())
+    boards = {make_board(): how for how in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGKILL, signal.SIGSTOP)}
+    words = [sys.executable, "-c", LIGHTS, *(board.port for board in boards)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as programs:
+        assert programs.stdout is not None
+        lit = dict(programs.stdout.readline().split() for _ in boards)
+        try:
+            # Alive, they stay lit for longer than the watchdog waits: the heartbeat does its work.
+            time.sleep(2 * WATCHDOG_S)
+            for board, how in boards.items():
+                assert board.outputs()["laser"] == [1, 0.0005]
+                assert board.outputs()["magnet"] == [1]
+                os.kill(int(lit[board.port]), how)
+            for board in boards:
+                board.wait_for(lambda board=board: board.is_safe, DARK_WITHIN_S)  # type: ignore[misc]
+            # One that was stopped wakes up and finds its session gone; nothing lights by itself.
+            for board, how in boards.items():
+                if how is signal.SIGSTOP:
+                    os.kill(int(lit[board.port]), signal.SIGCONT)
+            time.sleep(0.5)
+            assert all(board.is_safe for board in boards)
+        finally:
+            for pid in lit.values():
+                with suppress(ProcessLookupError):
+                    os.kill(int(pid), signal.SIGKILL)
+            programs.kill()
 
 
 def test_cable_pulled_while_the_program_lives(make_board: Callable[..., FirmwareBoard]) -> None:
     board = make_board(through_wire=True)
+    before = len(os.listdir("/proc/self/fd")), threading.active_count()
     control = settings_for(board.port, timeout_s=0.2, heartbeat_s=0.1, watchdog_s=1.5)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
@@ -86,6 +102,7 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
         board.wait_for(connected_again, 30.0)
         assert board.is_safe
         assert any("no reply" in text or "no session" in text for text in said)
+    assert (len(os.listdir("/proc/self/fd")), threading.active_count()) == before
 
 
 def test_a_hung_board_goes_dark_before_it_listens_again(board: FirmwareBoard) -> None:

@@ -4,8 +4,9 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -17,6 +18,7 @@ from processing.errors import DeviceError
 from rig.control import (
     ControllerSettings,
     LaserSettings,
+    LatchedTrip,
     SafetyState,
     TripCause,
     rig_state_path,
@@ -36,18 +38,34 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
+def trip_of(state: SafetyState | Path) -> LatchedTrip:
+    """What is latched now, or in the file of a rig which the next program opens."""
+    if isinstance(state, Path):
+        with SafetyState(state) as opened:
+            return trip_of(opened)
+    assert state.trip is not None
+    return state.trip
+
+
+def assert_acknowledged_once(path: Path, number: int = 1) -> None:
+    """The number is what the next program takes, and the one after it finds nothing."""
+    with SafetyState(path) as state:
+        state.acknowledge(number)
+    with SafetyState(path) as state:
+        assert state.trip is None
+
+
 def test_a_trip_outlives_the_program_and_its_number_grows_over_all_of_them(path: Path) -> None:
     for number in (1, 2, 3):
         with SafetyState(path) as state:
             assert state.latch(TripCause.OUTPUT, "it stays lit", lit=False).number == number
-        with SafetyState(path) as state:
-            assert state.trip is not None
-            assert state.trip.text == f"trip {number} (OUTPUT): it stays lit"
-            with pytest.raises(DeviceError, match=f"trip {number - 1} cannot be acknowledged: latched is"):
-                state.acknowledge(number - 1)
-            state.acknowledge(number)
-        with SafetyState(path) as state:
-            assert state.trip is None
+        assert trip_of(path).text == f"trip {number} (OUTPUT): it stays lit"
+        with (
+            SafetyState(path) as state,
+            pytest.raises(DeviceError, match=f"trip {number - 1} cannot be acknowledged: latched is"),
+        ):
+            state.acknowledge(number - 1)
+        assert_acknowledged_once(path, number)
 
 
 def test_one_program_holds_it(path: Path) -> None:
@@ -60,50 +78,45 @@ def test_one_program_holds_it(path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("torn", ["", "{", '{"number": 3, "latched": null, "unknown": 1}', '{"number": "x"}'])
-def test_a_file_that_cannot_be_read_counts_as_latched(path: Path, torn: str) -> None:
-    path.write_text(torn)
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        assert (state.trip.cause, state.trip.lit) == (TripCause.POWER, True)
-        assert str(path) in state.trip.why
-        state.acknowledge(state.trip.number)
-    with SafetyState(path) as state:
-        assert state.trip is None
-
-
-def test_a_file_that_was_deleted_counts_as_latched(path: Path) -> None:
-    with SafetyState(path) as state:
-        assert state.trip is None
+def deleted_after_use(path: Path) -> None:
+    with SafetyState(path):
+        pass
     path.unlink()
+
+
+def all_deleted_after_a_trip(path: Path) -> None:
+    with SafetyState(path) as state:
+        state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        state.latch(TripCause.INTERLOCK, "it opened again", lit=False)
+    shutil.rmtree(path.parent)
+
+
+NEW = "new here, or its state was deleted"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        *[
+            (partial(Path.write_text, data=torn), "rig.json")
+            for torn in ("", "{", '{"number": 3, "latched": null, "unknown": 1}', '{"number": "x"}')
+        ],
+        (deleted_after_use, "rig.json is gone"),
+        # a new rig, or one whose whole state was deleted: nobody can tell
+        (Path.unlink, NEW),
+        (all_deleted_after_a_trip, NEW),
+    ],
+)
+def test_what_cannot_be_read_or_is_not_there_counts_as_latched_and_is_acknowledged_once(
+    path: Path, spoil: Callable[[Path], object], said: str
+) -> None:
+    spoil(path)
     seen = SafetyState(path)
     seen.read()
-    with SafetyState(path) as state:
-        for one in (seen, state):
-            assert one.trip is not None
-            assert (one.trip.cause, one.trip.lit) == (TripCause.POWER, True)
-            assert one.trip.why.startswith(f"{path} is gone")
-        state.acknowledge(1)
-    with SafetyState(path) as state:
-        assert state.trip is None
-
-
-@pytest.mark.parametrize("gone", ["file", "folder"])
-def test_what_is_not_there_is_unknown_and_acknowledged_once(path: Path, gone: str) -> None:
-    """A new rig, or one whose whole state was deleted: nobody can tell."""
-    if gone == "folder":
-        with SafetyState(path) as state:
-            state.latch(TripCause.INTERLOCK, "it opened", lit=True)
-        shutil.rmtree(path.parent)
-    else:
-        path.unlink()
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        assert (state.trip.number, state.trip.cause, state.trip.lit) == (1, TripCause.POWER, True)
-        assert "new here, or its state was deleted" in state.trip.why
-        state.acknowledge(1)
-    with SafetyState(path) as state:
-        assert state.trip is None
+    for trip in (trip_of(path), *([trip_of(seen)] if said != NEW else [])):
+        assert (trip.number, trip.cause, trip.lit) == (1, TripCause.POWER, True)
+        assert said in trip.why
+    assert_acknowledged_once(path)
 
 
 def test_a_press_is_seen_by_who_only_reads_and_latched_by_who_holds(path: Path) -> None:
@@ -114,9 +127,8 @@ def test_a_press_is_seen_by_who_only_reads_and_latched_by_who_holds(path: Path) 
         seen = SafetyState(path)
         seen.read()
         taken = state.take_press(lit=True)
-        assert seen.trip is not None
-        assert taken is not None
-        for one in (seen.trip, taken):
+        for one in (trip_of(seen), taken):
+            assert one is not None
             assert (one.number, one.cause) == (1, TripCause.PERSON)
             assert one.why == "LIGHT OFF was pressed at the desk"
         assert state.take_press(lit=True) is None
@@ -126,11 +138,7 @@ def test_a_press_is_seen_by_who_only_reads_and_latched_by_who_holds(path: Path) 
         presses.press("the desk")
         presses.press("the desk")
     # pressed while nobody has the rig
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        state.acknowledge(2)
-    with SafetyState(path) as state:
-        assert state.trip is None
+    assert_acknowledged_once(path, 2)
 
 
 def test_a_press_stays_in_the_words_of_the_trip_that_follows(path: Path) -> None:
@@ -138,8 +146,7 @@ def test_a_press_stays_in_the_words_of_the_trip_that_follows(path: Path) -> None
     with SafetyState(path) as state:
         state.take_press(lit=True)
         state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
-        assert state.trip is not None
-        assert state.trip.text == "trip 2 (OUTPUT): it stays lit; LIGHT OFF was pressed at the desk"
+        assert trip_of(state).text == "trip 2 (OUTPUT): it stays lit; LIGHT OFF was pressed at the desk"
 
 
 def test_a_trip_that_comes_while_a_press_is_latched_is_not_lost(
@@ -160,10 +167,9 @@ def test_a_trip_that_comes_while_a_press_is_latched_is_not_lost(
         monkeypatch.setattr(safety_state, "_LatchEntry", meanwhile)
         state.take_press(lit=True)
         trip.join()
-        assert state.trip is not None
-        assert state.trip.cause is TripCause.OUTPUT
-        assert "its spot is seen; " in state.trip.text
-        assert "the desk" in state.trip.text
+        assert trip_of(state).cause is TripCause.OUTPUT
+        assert "its spot is seen; " in trip_of(state).text
+        assert "the desk" in trip_of(state).text
 
 
 def test_a_press_while_a_trip_waits_needs_no_second_acknowledgement(path: Path) -> None:
@@ -232,18 +238,13 @@ def test_on_a_full_disk_nothing_is_lit_and_no_trip_is_forgotten(full: Path, by: 
             state.presses.press("the desk")
             with pytest.raises(DeviceError, match="cannot be written"):
                 state.take_press(lit=True)
-        assert state.trip is not None
+        assert trip_of(state)
         with pytest.raises(DeviceError, match="cannot be written"):
             state.acknowledge(1)
     for _ in range(2):
-        with SafetyState(full) as state:
-            assert state.trip is not None
-            assert (state.trip.number, state.trip.cause) == (1, TripCause.PERSON)
+        assert (trip_of(full).number, trip_of(full).cause) == (1, TripCause.PERSON)
     (full.parent / "filling").unlink()
-    with SafetyState(full) as state:
-        state.acknowledge(1)
-    with SafetyState(full) as state:
-        assert state.trip is None
+    assert_acknowledged_once(full)
 
 
 def test_what_cannot_be_written_holds_and_is_written_later(path: Path) -> None:
@@ -255,24 +256,20 @@ def test_what_cannot_be_written_holds_and_is_written_later(path: Path) -> None:
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
             state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
         assert "cannot be written" in state.problem
-        assert state.trip is not None
+        assert trip_of(state)
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
             state.note_light(True)
         path.rmdir()
         state.retry_write()
         assert state.problem == ""
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        assert state.trip.why == "it stays lit"
+    assert trip_of(path).why == "it stays lit"
 
 
 def test_what_is_deleted_under_a_program_is_written_again(path: Path) -> None:
     with SafetyState(path) as state:
         shutil.rmtree(path.parent)
         state.latch(TripCause.INTERLOCK, "it opened", lit=True)
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        assert state.trip.why == "it opened"
+    assert trip_of(path).why == "it opened"
 
 
 def test_an_acknowledgement_that_cannot_be_kept_is_none(path: Path) -> None:
@@ -282,7 +279,7 @@ def test_an_acknowledgement_that_cannot_be_kept_is_none(path: Path) -> None:
         path.mkdir()
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
             state.acknowledge(1)
-        assert state.trip is not None
+        assert trip_of(state)
         for _ in range(2):
             # a second try must not take the first one for done
             with pytest.raises(DeviceError, match="the rig's state cannot be written"):
@@ -361,14 +358,12 @@ def test_a_trip_holds_at_once_while_the_disk_hangs_and_is_written_when_it_answer
         tripped = run_in_thread(state.latch, TripCause.INTERLOCK, "it opened", True)
         with pytest.raises(DeviceError, match="the disk hangs"):
             tripped.result(10.0)
-        assert state.trip is not None
-        assert state.trip.text == "trip 1 (INTERLOCK): it opened"
+        assert trip_of(state).text == "trip 1 (INTERLOCK): it opened"
         assert "the disk hangs" in state.problem
         disk.answers.set()
         noted.result(10.0)
+    assert trip_of(path).why == "it opened"
     with SafetyState(path) as state:
-        assert state.trip is not None
-        assert state.trip.why == "it opened"
         assert state.left_lit
 
 
@@ -389,6 +384,4 @@ def test_an_acknowledgement_during_which_another_trip_comes_is_none(
         disk.answers.set()
         with pytest.raises(DeviceError, match=r"(a trip came:|latched is) trip 2 \(OUTPUT\)"):
             acknowledged.result(10.0)
-    with SafetyState(path) as state:
-        assert state.trip is not None
-        assert state.trip.text == "trip 2 (OUTPUT): it stays lit"
+    assert trip_of(path).text == "trip 2 (OUTPUT): it stays lit"

@@ -1,8 +1,9 @@
 """Aligning by eye: what is drawn, and what the keys do, on the simulated camera."""
 
+import os
 import re
-import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -211,13 +212,13 @@ def test_the_newest_of_the_frames_that_have_come_is_shown(
     assert all(image is frames[-1].image for image, frames in zip(shown, blocks, strict=True))
 
 
-@pytest.mark.slow
-def test_it_ends_with_the_program_that_reads_its_lines() -> None:
+def test_it_ends_with_the_program_that_reads_its_lines(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As the live picture of a desk that was killed: it would keep camera, laser and port."""
-    words = "-m", "rig", "camera", "align", str(CONFIGS / "demo.toml"), "--set", "simulation.real_time=true"
-    picture = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True)
-    assert picture.stdout is not None
-    with picture, picture.stdout as lines:
-        assert next(line for line in lines if line.startswith("peak"))
-        lines.close()
-        assert picture.wait(60.0) != 0
+    reads, writes = os.pipe()
+    os.close(reads)
+    with suppress(BrokenPipeError), os.fdopen(writes, "w") as lines, Devices(config) as devices:
+        monkeypatch.setattr(sys, "stdout", lines)
+        with devices.camera(config) as opened, pytest.raises(SystemExit):
+            LivePicture(config, devices).show(opened)

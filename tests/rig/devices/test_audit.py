@@ -2,7 +2,6 @@
 
 import json
 import sys
-import threading
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import LightRefused, TripCause
+from rig.control import LightRefused, TripCause, run_in_thread
 from rig.control.simulated import SimulatedBoard
 from rig.devices import AuditEntry, Devices, SessionNews
 from rig.devices.audit import AUDIT_NAME, AuditLog
@@ -32,12 +31,17 @@ def lines_of(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / AUDIT_NAME).read_text().splitlines()]
 
 
+def tripped(folder: Path) -> Devices:
+    config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
+    devices = Devices(config, folder, "rig run")
+    devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
+    return devices
+
+
 def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
-    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews()
-    devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
+    devices, session_news = tripped(tmp_path), SessionNews()
     monkeypatch.setattr(sys, "stderr", Terminal())
     # nothing that is less than the number and Enter, then the word and Enter
     for typed in ("\n", "y\n\n", "yes\n\n", "a\n\n", "2\n\n", "", "01x\n\n"):
@@ -124,15 +128,11 @@ def test_a_line_that_was_cut_costs_no_other(tmp_path: Path) -> None:
 
 
 def test_who_watches_is_told_what_the_next_run_waits_for(tmp_path: Path) -> None:
-    config = Configuration(camera={"driver": "simulated"})
-    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews()
-    devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
+    devices, session_news = tripped(tmp_path), SessionNews()
     session_news.news()
-    waiting = threading.Thread(target=await_acknowledgement, args=(devices, session_news), daemon=True)
-    waiting.start()
+    waiting = run_in_thread(await_acknowledgement, devices, session_news)
     until(lambda: "waits for a person" in session_news.news()["state"].get("progress", ""))
     assert "trip 1 (INTERLOCK)" in session_news.news()["state"]["progress"]
     devices.acknowledge(1, "the desk")
     devices.permit.request_light()
-    waiting.join(30.0)
-    assert not waiting.is_alive()
+    waiting.result(30.0)

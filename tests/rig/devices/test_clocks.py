@@ -18,9 +18,9 @@ IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 50.0
 
 
-def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = True) -> list[Frame]:
+def frames(seconds: float, drift_ppm: float, *, clock: bool = True) -> list[Frame]:
     """Frames of a camera whose clock runs fast, which arrive half a millisecond late on average."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     true_ns = np.arange(round(seconds * RATE_HZ)) * 1e9 / RATE_HZ
     device_ns = 10**9 + np.round(true_ns * (1 + 1e-6 * drift_ppm)).astype(np.int64)
     host_ns = 10**12 + np.round(true_ns + 5e5 * rng.exponential(size=len(true_ns))).astype(np.int64)
@@ -38,18 +38,14 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-40.0, 75.0])
 def test_the_rate_is_known_within_its_uncertainty_ever_more_closely(drift_ppm: float) -> None:
-    off, wide = [], []
-    for seed in range(2):
-        found = read(frames(120.0, drift_ppm, seed=seed), size=25)
-        last = found[-1]
-        assert last.is_known
-        off.append((last.drift_ppm - drift_ppm) / last.u_drift_ppm)
-        wide.append([one.u_drift_ppm for one in found if one.is_known][:: len(found) // 2])
-    assert np.sqrt(np.mean(np.square(off))) < 1.8
-    assert all(each[0] > 3.0 * each[-1] for each in wide)
+    estimates = read(frames(60.0, drift_ppm), size=10)
+    # of 3 s of frames, five blocks a second, and with more pairs than are kept
+    assert [one.is_known for one in estimates].index(True) == 16
+    found = estimates[16:]
+    assert abs(found[-1].drift_ppm - drift_ppm) < 4.0 * found[-1].u_drift_ppm
+    assert found[0].u_drift_ppm > 20.0 * found[-1].u_drift_ppm
 
 
 def test_steps_are_counted_with_the_largest() -> None:
@@ -118,8 +114,10 @@ def test_a_step_is_an_event_and_a_slew_is_none() -> None:
     clocks = Clocks()
     anchors = ClockAnchors(clocks)
     anchors.take(0)
-    clocks.pass_s(5.0, 5.0025)
+    clocks.pass_s(5.0, 5.0065)
     assert anchors.take(1) == (None, [])
+    clocks.pass_s(0.5, 0.5035)
+    assert [event.text[-8:] for event in anchors.take(1)[1]] == ["+0.004 s"]
     clocks.pass_s(0.5, -0.75)
     anchor, (event,) = anchors.take(2)
     assert (event.kind, event.time_ns) == (EventKind.CLOCK_STEP, 2)

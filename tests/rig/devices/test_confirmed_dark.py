@@ -2,24 +2,28 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
 
 from rig.devices import Devices, laser
-from rig.settings import Configuration
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.devices.test_wiring import of_parts
 
 CONFIRMED = "laser off, confirmed by the controller"
 
 
-def of_board(board: FirmwareBoard) -> Configuration:
-    return of_parts(board, {"kind": "controller"}, watchdog_s=5.0)
+@contextmanager
+def lit(board: FirmwareBoard) -> Iterator[Devices]:
+    with Devices(of_parts(board, {"kind": "controller"}, watchdog_s=5.0)) as devices:
+        devices.light()
+        assert board.outputs()["laser"][0] == 1
+        yield devices
 
 
-def late(board: FirmwareBoard) -> Callable[[], None]:
+def late(board: FirmwareBoard) -> None:
     """Answers take 0.9 s, more than all repetitions of a command."""
     wire = board.wire
 
@@ -27,45 +31,31 @@ def late(board: FirmwareBoard) -> Callable[[], None]:
         threading.Timer(0.9, wire.inject, [data]).start()
         return b""
 
-    def begin() -> None:
-        wire.to_host = hold_back
-        threading.Timer(0.7, lambda: setattr(wire, "to_host", bytes)).start()
-
-    return begin
+    wire.to_host = hold_back
+    threading.Timer(0.7, lambda: setattr(wire, "to_host", bytes)).start()
 
 
-def without_session(board: FirmwareBoard) -> Callable[[], None]:
+def without_session(board: FirmwareBoard) -> None:
     """It was reset, and answers that it has no session (error -203)."""
-
-    def begin() -> None:
-        board.press(b"r")
-        time.sleep(0.3)
-
-    return begin
+    board.press(b"r")
+    time.sleep(0.3)
 
 
-def reopened(board: FirmwareBoard) -> Callable[[], None]:
+def reopened(board: FirmwareBoard) -> None:
     """Nothing goes over the cable for a while."""
-    wire = board.wire
-
-    def begin() -> None:
-        wire.connected = False
-        threading.Timer(1.0, lambda: setattr(wire, "connected", True)).start()
-
-    return begin
+    board.wire.connected = False
+    threading.Timer(1.0, lambda: setattr(board.wire, "connected", True)).start()
 
 
 @pytest.mark.parametrize("fault", [late, without_session, reopened])
 def test_what_answers_late_is_waited_for(
     make_board: Callable[..., FirmwareBoard],
-    fault: Callable[[FirmwareBoard], Callable[[], None]],
+    fault: Callable[[FirmwareBoard], None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     board = make_board(through_wire=True)
-    with Devices(of_board(board)) as devices:
-        devices.light()
-        assert board.outputs()["laser"][0] == 1
-        fault(board)()
+    with lit(board):
+        fault(board)
     # until the last late answer has come
     time.sleep(1.0)
     assert board.outputs()["laser"][0] == 0
@@ -78,8 +68,7 @@ def test_what_never_answers_is_not_confirmed(
     make_board: Callable[..., FirmwareBoard], capsys: pytest.CaptureFixture[str]
 ) -> None:
     board = make_board(through_wire=True)
-    with Devices(of_board(board)) as devices:
-        devices.light()
+    with lit(board) as devices:
         board.wire.to_host = lambda _: b""
         begun_s = time.monotonic()
     assert "THE LASER MAY BE LIT: the controller does not confirm" in capsys.readouterr().err
@@ -103,13 +92,11 @@ def test_ctrl_c_in_the_wait_is_heard_after_one_of_the_two_lines(
             raise KeyboardInterrupt
         usual(*words)
 
-    def session() -> None:
-        with Devices(of_board(board)) as devices:
-            devices.light()
-            if not answers:
-                board.wire.to_host = lambda _: b""
-            monkeypatch.setattr(laser, "wait_for_command", interrupted)
-
+    session = ExitStack()
+    session.enter_context(lit(board))
+    if not answers:
+        board.wire.to_host = lambda _: b""
+    monkeypatch.setattr(laser, "wait_for_command", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        session()
+        session.close()
     assert (CONFIRMED if answers else "THE LASER MAY BE LIT") in capsys.readouterr().err

@@ -1,7 +1,9 @@
 """What a driver delivers that no camera may: one clear line, whatever it is."""
 
+import re
 import time
 from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -100,21 +102,24 @@ def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
     return [Frame(image, i, device, host) for i, (device, host) in enumerate(times_ns)]
 
 
-def watch_clock(frames: list[Frame]) -> None:
+@pytest.mark.parametrize(
+    ("rate", "late_s", "refused"),
+    [
+        (8.0, 0.0, True),
+        (1.002, 0.0, True),
+        (0.5, 0.0, True),
+        (1.0, 0.0, False),
+        (1.0005, 0.0, False),
+        (1.0, 0.4, False),
+    ],
+)
+def test_a_clock_that_cannot_be_right_is_refused_and_a_computer_that_lags_is_not(
+    rate: float, late_s: float, refused: bool
+) -> None:
     watch = ClockCheck()
-    for frame in frames:
-        watch.see(frame)
-
-
-@pytest.mark.parametrize("rate", [8.0, 1.002, 0.5])
-def test_a_clock_that_cannot_be_right_is_refused(rate: float) -> None:
-    with pytest.raises(DeviceError, match="times as fast as the computer's"):
-        watch_clock(clock_at(rate))
-
-
-@pytest.mark.parametrize(("rate", "late_s"), [(1.0, 0.0), (1.0005, 0.0), (1.0, 0.4)])
-def test_a_quartz_and_a_computer_that_lags_are_not_refused(rate: float, late_s: float) -> None:
-    watch_clock(clock_at(rate, late_s))
+    with pytest.raises(DeviceError, match="times as fast as the computer's") if refused else nullcontext():
+        for one in clock_at(rate, late_s):
+            watch.see(one)
 
 
 @dataclass
@@ -160,18 +165,9 @@ def again(number: int) -> Frame:
     return frame(number, image=ONE_BUFFER)
 
 
-@pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        (again, "the image of frame 0 has changed since it was delivered"),
-        (lambda number: frame(number, image=np.full((12, 10), 0.5)), r"shape \(12, 10\) and type float64"),
-        (lambda number: frame(number, nx=10 + number), "frame 1 has 11 x 12 pixels"),
-        (lambda number: np.ones((12, 10), np.uint8), r"read\(\) returned ndarray"),
-    ],
-)
-def test_the_search_of_an_exposure_takes_no_such_frame(made: Callable[[int], object], said: str) -> None:
-    with pytest.raises(DeviceError, match=said):
-        find_exposure(Driver(made), INFO, CameraSettings(exposure_us=100.0))  # type: ignore[arg-type]
+def test_the_search_of_an_exposure_takes_no_such_frame() -> None:
+    with pytest.raises(DeviceError, match="the image of frame 0 has changed since it was delivered"):
+        find_exposure(Driver(again), INFO, CameraSettings(exposure_us=100.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -216,26 +212,28 @@ def test_what_a_driver_raises_is_one_line() -> None:
         raise KeyError("gain")
 
 
-def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_stream, "ReadMonitor", partial(ReadMonitor, grace_s=0.5))
+@pytest.mark.parametrize("count", [0, 6])
+def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    monkeypatch.setattr(frame_stream, "ReadMonitor", partial(ReadMonitor, grace_s=0.2))
     let_go = Event()
 
     def make(number: int) -> object:
-        if number > 5:
+        if number >= count:
             let_go.wait(60.0)
             return None
         return frame(number)._replace(host_time_ns=time.monotonic_ns())
 
     stream = FrameStream(Driver(make), CameraSettings(), timeout_s=0.2)  # type: ignore[arg-type]
     stream.start_camera()
-    stream.begin()
     taken = 0
+    with suppress(DeviceError):
+        stream.begin()
     while not stream.drained:
         taken += len(stream.take(64, 0.1))
     let_go.set()
     stream.close()
-    assert taken == 6
-    assert "read() has not returned for" in stream.end_reason
+    assert taken == count
+    assert re.search(r"read\(\) has not returned .* its driver hangs", stream.end_reason)
     assert isinstance(stream.failure, DeviceError)
 
 

@@ -6,7 +6,7 @@ from acquisition.camera import CameraStatus
 from rig.control import SafetyState, TripCause
 from rig.devices.doctor import check_frames, check_governor, check_settings, check_trip
 from rig.instrument import complete
-from rig.settings import Configuration, validate_configuration
+from rig.settings import validate_configuration
 
 ALL = CameraStatus(delivered=60)
 
@@ -42,7 +42,7 @@ def test_frames_are_judged_by_their_number_and_the_rate_that_was_asked_for(
 
 
 def settings_of(tree: dict[str, dict[str, object]]) -> dict[str, str]:
-    stated: Configuration = validate_configuration(tree, "a test")
+    stated = validate_configuration(tree, "a test")
     return {verdict.name: verdict.reason for verdict in check_settings(complete(stated), stated)}
 
 

@@ -2,11 +2,9 @@
 
 import json
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,6 @@ from tests.rig.control.instruments import FakeObis, Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.test_ending import ENDED_WITHIN_S, command, running
 from tests.rig.control.wires import FirmwareBoard
-from tests.rig.known_rig import known
 from tests.waiting import until
 
 
@@ -85,36 +82,18 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
 
 
 def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
-    instrument = FakeObis()
-    try:
-        with Devices(configuration("obis", instrument.port)) as devices:
-            devices.light()
-            instrument.measures = 0.050
-            until(lambda: devices.permit.latched is not None)
-            until(lambda: not instrument.on)
-            with pytest.raises(DeviceError, match="cannot be acknowledged: 50 mW measured, 30 mW allowed"):
-                devices.acknowledge(1, "test")
-            instrument.measures = None
-            laser = devices.laser
-            until(lambda: laser and (state := laser.snapshot.state) and not state.dark_reason)
-            assert "acknowledged" in devices.acknowledge(1, "test")
-            assert not instrument.on
-    finally:
-        instrument.close()
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For a laser that is not there, which nobody needs to wait for."""
-    monkeypatch.setattr("rig.devices.laser._MAX_ANSWER_S", 2.0)
-    monkeypatch.setattr("rig.devices.lit_devices._MAX_LASER_CONFIRM_S", 0.2)
-
-
-def test_a_laser_that_is_not_there_is_named(impatient: None) -> None:
-    known("/dev/ttyNoSuchPort")
-    missing = configuration("obis", "/dev/ttyNoSuchPort")
-    with Devices(missing) as devices, pytest.raises(DeviceError, match="/dev/ttyNoSuchPort: cannot open"):
+    with closing(FakeObis()) as instrument, Devices(configuration("obis", instrument.port)) as devices:
         devices.light()
+        instrument.measures = 0.050
+        until(lambda: devices.permit.latched is not None)
+        until(lambda: not instrument.on)
+        with pytest.raises(DeviceError, match="cannot be acknowledged: 50 mW measured, 30 mW allowed"):
+            devices.acknowledge(1, "test")
+        instrument.measures = None
+        laser = devices.laser
+        until(lambda: laser and (state := laser.snapshot.state) and not state.dark_reason)
+        assert "acknowledged" in devices.acknowledge(1, "test")
+        assert not instrument.on
 
 
 class BehindTheRelay(FakeObis):
@@ -137,6 +116,11 @@ class BehindTheRelay(FakeObis):
         return self.on and self.interlock_closed
 
 
+def behind_the_relay(board: FirmwareBoard, instrument: FakeObis) -> Configuration:
+    controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
+    return configuration("obis", instrument.port, laser={"interlock": "controller"}, controller=controller)
+
+
 @pytest.fixture
 def wired(board: FirmwareBoard) -> Iterator[BehindTheRelay]:
     instrument = BehindTheRelay(board)
@@ -147,9 +131,7 @@ def wired(board: FirmwareBoard) -> Iterator[BehindTheRelay]:
 def test_the_relay_is_closed_before_the_laser_is_lit_and_opened_after(
     board: FirmwareBoard, wired: BehindTheRelay
 ) -> None:
-    controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
-    laser = {"interlock": "controller"}
-    with Devices(configuration("obis", wired.port, laser=laser, controller=controller)) as devices:
+    with Devices(behind_the_relay(board, wired)) as devices:
         assert devices.light() == "laser on"
         assert wired.emits
         # the relay alone: the controller's own output has no power
@@ -170,106 +152,30 @@ def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(
         return now if time.monotonic() > heard_from_s[0] else replace(now, status=None, status_time_ns=0)
 
     monkeypatch.setattr(ControlService, "snapshot", property(late))
-    controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
-    instrument = FakeObis()
-    try:
-        stated = configuration(
-            "obis", instrument.port, laser={"interlock": "controller"}, controller=controller
-        )
-        with Devices(stated) as devices:
+    with closing(FakeObis()) as instrument:
+        with Devices(behind_the_relay(board, instrument)) as devices:
             heard_from_s[0] = time.monotonic() + silent_s
             with pytest.raises(DeviceError, match="wire it through the relay"):
                 devices.light()
         assert instrument.highest_lit == 0.0
-    finally:
-        instrument.close()
-
-
-LIGHTS = """
-import sys, time
-from pathlib import Path
-from rig.control import Stage
-from rig.devices import Devices
-from rig.settings import load_configuration
-with Devices(load_configuration(Path(sys.argv[1]))) as devices:
-    print(devices.light(), flush=True)
-    while True:
-        for stage in (Stage.CAMERA, Stage.PROCESSING):
-            devices.permit.note_progress(stage)
-        time.sleep(0.1)
-"""
-"""A program that lights the laser of a configuration, as a run with frames does."""
-CONFIG = """
-[camera]
-driver = "simulated"
-[laser]
-kind = "obis"
-port = "{}"
-power_w = 0.02
-max_power_w = 0.03
-timeout_s = 2.0
-interlock = "{}"
-[controller]
-kind = "serial"
-port = "{}"
-timeout_s = 0.3
-watchdog_s = 5.0
-"""
-
-
-@contextmanager
-def lit_by_a_program(
-    instrument: FakeObis, board: FirmwareBoard, folder: Path, interlock: str
-) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """The program, and what it was told when it lit the laser."""
-    config = folder / "rig.toml"
-    config.write_text(CONFIG.format(instrument.port, interlock, board.port))
-    with subprocess.Popen(
-        [sys.executable, "-c", LIGHTS, config], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
-    ) as program:
-        assert program.stdout is not None
-        yield program, program.stdout.readline()
-        program.kill()
-
-
-@pytest.mark.slow
-def test_killed_the_relay_darkens_it(board: FirmwareBoard, wired: BehindTheRelay, tmp_path: Path) -> None:
-    with lit_by_a_program(wired, board, tmp_path, "controller") as (program, _):
-        assert wired.emits
-        program.send_signal(signal.SIGKILL)
-        program.wait()
-        board.wait_for(lambda: not wired.emits, ENDED_WITHIN_S)
-
-
-@pytest.mark.slow
-def test_killed_without_the_relay_it_stays_lit_as_is_said(board: FirmwareBoard, tmp_path: Path) -> None:
-    """Documentation and preflight warn of that."""
-    with closing(FakeObis()) as instrument:
-        with lit_by_a_program(instrument, board, tmp_path, "own") as (program, said):
-            assert instrument.on
-            program.send_signal(signal.SIGKILL)
-            program.wait()
-        assert instrument.on
-    assert "stays lit when this program is killed" in said
 
 
 @pytest.mark.slow
 def test_without_the_relay_sigterm_darkens_it(board: FirmwareBoard, tmp_path: Path) -> None:
     record, said = tmp_path / "out" / "run-1.mcap", tmp_path / "said"
     with closing(FakeObis()) as instrument:
-        laser = {
+        keys = {
             "laser__kind": '"obis"',
             "laser__port": json.dumps(instrument.port),
             "laser__timeout_s": "2.0",
         }
-        words = command(tmp_path / "out", board, **laser, controller__watchdog_s="5.0")
+        words = command(tmp_path / "out", board, **keys, controller__watchdog_s="5.0")
         with running(words, said) as process:
-            until(
-                lambda: (
-                    process.poll() is not None
-                    or (instrument.on and record.exists() and record.stat().st_size > 30_000)
-                )
-            )
+
+            def recorded() -> bool:
+                return instrument.on and record.exists() and record.stat().st_size > 30_000
+
+            until(lambda: process.poll() is not None or recorded())
             assert process.poll() is None, said.read_text()
             process.send_signal(signal.SIGTERM)
             process.wait(ENDED_WITHIN_S)
@@ -278,16 +184,15 @@ def test_without_the_relay_sigterm_darkens_it(board: FirmwareBoard, tmp_path: Pa
 
 def test_preflight_says_how_the_laser_stands() -> None:
     assert frame_checks.laser(None, True).ok
-    dark = frame_checks.laser(LaserReport(Light.OFF), True)
-    assert not dark.ok
-    assert dark.remedy
-    well = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), True)
-    assert well.ok
-    assert not well.remedy
-    warning = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), False)
-    assert warning.ok
-    assert "killed" in warning.reason
-    assert "relay" in warning.remedy
+    for light, wired, ok, remedy in (
+        (Light.OFF, True, False, "rig doctor"),
+        (Light.ON, True, True, ""),
+        (Light.ON, False, True, "relay"),
+    ):
+        verdict = frame_checks.laser(LaserReport(light, 0.5e-3), wired)
+        assert (verdict.ok, bool(verdict.remedy)) == (ok, bool(remedy))
+        assert remedy in verdict.remedy
+        assert ("killed" in verdict.reason) is (remedy == "relay")
 
 
 def test_nothing_is_lit_without_leave() -> None:

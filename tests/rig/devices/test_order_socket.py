@@ -172,12 +172,36 @@ def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, 
         OrderConnection(tmp_path)
 
 
-def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: Path) -> None:
-    for name in ("killed", "runs"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "killed" / ORDERS_NAME).write_text('{"port": 1, "key": "00ff", "pid": 1}')
-    with OrderSocket(tmp_path / "runs", told, {}):
-        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
+class _Another(http.server.BaseHTTPRequestHandler):
+    """Any program that has got the port of a session which was killed."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged."""
+
+
+def test_of_a_killed_session_only_the_file_is_left_whoever_has_its_port(
+    told: SessionNews, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.devices.order_line._MAX_ANSWER_S", 0.5)
+    killed, runs = tmp_path / "killed", tmp_path / "runs"
+    killed.mkdir()
+    runs.mkdir()
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    with OrderSocket(runs, told, {}), http.server.HTTPServer((LOOPBACK, 0), _Another) as another:
+        threading.Thread(target=another.serve_forever, daemon=True).start()
+        own = json.loads((runs / ORDERS_NAME).read_text())["port"]
+        for port in (another.server_address[1], own, 1):
+            stated = {"port": port, "key": "00ff", "pid": ended.pid}
+            (killed / ORDERS_NAME).write_text(json.dumps(stated))
+            assert list(running_sessions(tmp_path)) == [runs]
+            if port > 1:
+                with OrderConnection(killed) as line:
+                    for ask in (line.beat, lambda line=line: line.order("dark")):  # type: ignore[misc]
+                        with pytest.raises(NoSession, match="another program answers"):
+                            ask()
+                    assert line.process is None
+        another.shutdown()
     assert list(running_sessions(tmp_path)) == []
     # one that nobody can watch is measured all the same
     with OrderSocket(tmp_path / "missing", told, {}) as watched:
@@ -196,49 +220,6 @@ def test_two_programs_do_not_take_orders_in_one_folder(told: SessionNews, tmp_pa
     (tmp_path / ORDERS_NAME).write_text(json.dumps({"port": 1, "key": "00ff", "pid": os.getpid()}))
     with OrderSocket(tmp_path, told, {}), OrderConnection(tmp_path) as line:
         line.beat()
-
-
-class _Another(http.server.BaseHTTPRequestHandler):
-    """Any program that has got the port of a session which was killed."""
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is logged."""
-
-
-def test_another_program_at_the_port_of_a_killed_session_is_no_session(
-    told: SessionNews, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("killed", "runs"):
-        (tmp_path / name).mkdir()
-    with (
-        OrderSocket(tmp_path / "runs", told, {}),
-        http.server.HTTPServer(("127.0.0.1", 0), _Another) as another,
-    ):
-        threading.Thread(target=another.serve_forever, daemon=True).start()
-        ended = subprocess.Popen(["true"])
-        ended.wait()
-        stated = {"port": another.server_address[1], "key": "00ff", "pid": ended.pid}
-        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps(stated))
-        with OrderConnection(tmp_path / "killed") as line, monkeypatch.context() as impatient:
-            impatient.setattr("rig.devices.order_line._MAX_ANSWER_S", 0.5)
-            for ask in (line.beat, lambda: line.order("dark")):
-                with pytest.raises(NoSession, match="another program answers"):
-                    ask()
-            assert line.process is None
-        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
-        another.shutdown()
-
-
-def test_a_session_at_the_port_of_a_killed_one_does_not_answer_for_it(
-    told: SessionNews, tmp_path: Path
-) -> None:
-    for name in ("killed", "runs"):
-        (tmp_path / name).mkdir()
-    with OrderSocket(tmp_path / "runs", told, {}):
-        stated = json.loads((tmp_path / "runs" / ORDERS_NAME).read_text())
-        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps({**stated, "key": "00ff"}))
-        with OrderConnection(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
-            line.news()
 
 
 def test_a_brake_is_refused_while_a_decay_is_recorded(told: SessionNews, tmp_path: Path) -> None:

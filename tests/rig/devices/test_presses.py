@@ -3,15 +3,15 @@
 import errno
 import os
 import time
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 
 import pytest
 
 from acquisition import atomic_write
 from processing.errors import DeviceError
-from rig.control import LightRefused, TripCause, light_permit
+from rig.control import LightRefused, TripCause, light_permit, run_in_thread
 from rig.control.presses import Presses
 from rig.devices import Devices, LightWatch
 from rig.measure import acknowledge_trip, show_light
@@ -19,14 +19,6 @@ from rig.settings import Configuration
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 from tests.waiting import until
-
-
-@pytest.fixture
-def instrument() -> Iterator[FakeCobolt]:
-    """A laser with a port of its own, which no watchdog darkens."""
-    instrument = FakeCobolt()
-    yield instrument
-    instrument.close()
 
 
 @pytest.fixture
@@ -82,10 +74,8 @@ def test_pressed_while_it_is_lit_it_is_dark_without_any_order(
     with Devices(config) as devices:
         devices.light()
         assert instrument.on
-        pressed_s = time.monotonic()
         presses.press("the desk")
         until(lambda: not instrument.on)
-        print(f"dark {time.monotonic() - pressed_s:.2f} s after the press")
         trip = devices.permit.latched
         assert trip is not None
         assert (trip.cause, trip.lit) == (TripCause.PERSON, True)
@@ -172,21 +162,13 @@ def test_a_disk_that_hangs_hears_of_no_press_and_refuses_the_light(
         try:
             until(lambda: "LIGHT OFF would not be heard" in devices.darkness())
             until(lambda: not instrument.on)
-            refused: list[str] = []
-
-            def ask() -> None:
-                try:
-                    devices.light(on_request=True)
-                except DeviceError as error:
-                    refused.append(str(error))
-
-            asking = Thread(target=ask)
-            asking.start()
-            asking.join(1.0)
+            asking = run_in_thread(partial(devices.light, on_request=True))
+            with pytest.raises(TimeoutError):
+                asking.result(0.5)
             assert not instrument.on
         finally:
             goes_on.set()
-        asking.join(20.0)
+        asking.exception(20.0)
 
 
 def test_a_laser_whose_trip_hangs_at_the_disk_still_obeys(

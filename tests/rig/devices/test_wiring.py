@@ -17,7 +17,7 @@ from rig.control.protocol import ControllerIdentity
 from rig.control.serial_port import PortLost, SerialPort
 from rig.devices import Devices
 from rig.settings import Configuration, validate_configuration
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
@@ -28,6 +28,14 @@ pytestmark = pytest.mark.timeout(120)
 LIVE = CONFIGS / "live.toml"
 WITHOUT = "--set controller.kind=none --set laser.kind=none"
 SHORT = {**SMALL, "session.max_duration_s": "2"}
+NEITHER = {"controller.kind": "none", "laser.kind": "none"}
+
+
+def run_live(folder: Path, **keys: str) -> tuple[Done, str]:
+    """What became of a run with these keys (`__` for a dot), and its line that names a fault."""
+    stated = {**SHORT, **{key.replace("__", "."): value for key, value in keys.items()}}
+    done = rig("run", LIVE, "-o", "out", *set_words(stated), cwd=folder)
+    return done, "".join(line for line in done.stderr.splitlines() if line.startswith("rig: "))
 
 
 @contextmanager
@@ -92,12 +100,11 @@ def test_a_laser_of_no_controller_is_refused_and_nothing_is_confirmed(
 def test_a_start_by_a_controller_that_is_not_there_is_refused_before_anything_warms_up(
     tmp_path: Path,
 ) -> None:
-    keys = {**SHORT, "controller.kind": "none", "laser.kind": "none"}
-    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
+    done, line = run_live(tmp_path, **NEITHER)
     assert done.returncode == 2
-    assert "start.way = 'starter' needs a controller" in done.stderr
+    assert "start.way = 'starter' needs a controller" in line
     assert "warm-up" not in done.stderr
-    doctor = rig("doctor", LIVE, "--json", *set_words(keys), cwd=tmp_path)
+    doctor = rig("doctor", LIVE, "--json", *set_words(SHORT | NEITHER), cwd=tmp_path)
     assert doctor.returncode == 1
     for key in ("start.way = 'starter'", "environment_sensor.kind = 'controller'"):
         assert f"{key}, but controller.kind = 'none'" in doctor.stdout
@@ -133,10 +140,8 @@ def test_a_board_with_another_program_is_told_what_it_lacks(
 ) -> None:
     with foreign_board(says, echoes=echoes) as port:
         known(port)
-        keys = {**SHORT, "controller.kind": "serial", "controller.port": port}
-        done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
+        done, line = run_live(tmp_path, controller__kind="serial", controller__port=port)
     assert done.returncode == 1
-    (line,) = (line for line in done.stderr.splitlines() if line.startswith("rig: "))
     assert heard in line
     assert "this program's firmware (docs/controller.md, Flashing)" in line
     assert "such as an Arduino, set controller.kind = 'none' and laser.kind = 'none'" in line
@@ -144,15 +149,14 @@ def test_a_board_with_another_program_is_told_what_it_lacks(
 
 
 def test_a_port_that_is_not_there_is_said_once_with_those_that_are(tmp_path: Path, impatient: None) -> None:
-    keys = {**SHORT, "controller.kind": "serial", "controller.port": "/dev/ttyWRONG", "start.way": "at once"}
-    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
-    (line,) = (line for line in done.stderr.splitlines() if line.startswith("rig: "))
+    keys = {"controller.kind": "serial", "controller.port": "/dev/ttyWRONG", "start.way": "at once"}
+    _, line = run_live(tmp_path, **keys)
     assert line.startswith("rig: /dev/ttyWRONG: cannot open the serial port: No such file or directory; ")
     assert line.count("ttyWRONG") == 1
     assert line.count("No such file") == 1
     assert "present are /dev/" in line or "this computer has no serial port" in line
     assert line.endswith(f"; the camera is simulated, and runs without: {WITHOUT}")
-    doctor = rig("doctor", LIVE, *set_words(keys), cwd=tmp_path).stdout
+    doctor = rig("doctor", LIVE, *set_words(SHORT | keys), cwd=tmp_path).stdout
     (said,) = (text for text in doctor.replace("\n", " ").split("NO-GO ") if text.startswith("controller: "))
     assert said.count("ttyWRONG") == 1
     assert WITHOUT in said
@@ -162,37 +166,26 @@ def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(
     tmp_path: Path, impatient: None
 ) -> None:
     known("/dev/ttyWRONG")
-    keys = {**SHORT, "controller.kind": "none", "start.way": "at once", "preflight.when": "never"}
+    keys = {"controller.kind": "none", "start.way": "at once", "preflight.when": "never"}
     keys |= {"laser.kind": "obis", "laser.port": "/dev/ttyWRONG", "laser.power_w": "0.0005"}
-    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
-    (line,) = (line for line in done.stderr.splitlines() if line.startswith("rig: "))
+    done, line = run_live(tmp_path, **keys)
     assert line.count("ttyWRONG") == 1
     assert line.endswith("; the camera is simulated, and runs without: --set laser.kind=none")
     assert "confirmed" not in done.stderr
 
 
 def test_a_port_that_another_program_has_is_called_that() -> None:
-    master, slave = pty.openpty()
-    try:
-        with (
-            closing(SerialPort(os.ttyname(slave))),
-            pytest.raises(PortLost, match="another program has it open; end"),
-        ):
-            SerialPort(os.ttyname(slave))
-    finally:
-        os.close(master)
-        os.close(slave)
+    with (
+        foreign_board(b"") as port,
+        closing(SerialPort(port)),
+        pytest.raises(PortLost, match="another program has it open; end"),
+    ):
+        SerialPort(port)
 
 
 def test_the_printed_line_is_one_that_runs(tmp_path: Path) -> None:
-    keys = {
-        **SHORT,
-        "simulation.real_time": "false",
-        "start.way": "at once",
-        "simulation.release.way": "let go",
-    }
-    keys |= {"controller.kind": "none", "laser.kind": "none", "controller.port": "/dev/ttyWRONG"}
-    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
+    keys = {"simulation.real_time": "false", "start.way": "at once", "simulation.release.way": "let go"}
+    done, _ = run_live(tmp_path, **keys, **NEITHER, **{"controller.port": "/dev/ttyWRONG"})
     assert "time limit of 2 s reached" in done.stderr
     assert "confirmed" not in done.stderr
 
@@ -240,8 +233,8 @@ def test_a_trip_names_the_command_that_acknowledges_it(
 
 
 def test_a_simulated_rig_that_tripped_is_started_again(tmp_path: Path) -> None:
-    keys = {**SHORT, "faults.interlock_opens_at_s": "0.5", "preflight.when": "never", "start.way": "at once"}
-    done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
+    keys = {"faults.interlock_opens_at_s": "0.5", "preflight.when": "never", "start.way": "at once"}
+    done, _ = run_live(tmp_path, **keys)
     assert done.returncode == 1
     # under load the board's watchdog may add a trip of its own
     assert re.search(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.units import ARCSEC_RAD
 from rig.instrument import advice_for, complete
@@ -20,13 +19,6 @@ from tests.rig.view.replay_record import CONFIG, WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
 PANELS = {"decay", "residuals", "period", "period_residuals"}
-
-
-@pytest.fixture(scope="module")
-def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
-    path = make_record(tmp_path_factory.mktemp("balance") / "run.mcap", 15.0)
-    with RecordReader(path) as reader:
-        return reader.balances()[-1]
 
 
 def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_series: Path) -> None:
@@ -62,7 +54,12 @@ def test_a_run_too_short_for_a_fit_shows_its_data_and_says_why(tmp_path: Path) -
     assert "no fit: " in report_text(run)
 
 
-def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
+def test_advice_names_what_is_out_of_limits_and_reaches_the_view_of_a_record(tmp_path: Path) -> None:
+    record, rrd = make_record(tmp_path / "run.mcap", 15.0), tmp_path / "shown.rrd"
+    show_record(record, rrd=rrd, layout="balancing")
+    assert "balanced" in str(column(rrd, "/advice", "TextDocument:text"))
+    with RecordReader(record) as reader:
+        balance = reader.balances()[-1]
     config = complete(load_configuration(CONFIG))
     tilted = replace(balance, rest_x=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
     text = advice_for(config, tilted).markdown
@@ -75,17 +72,9 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
 
 
-def test_advice_reaches_the_view_of_a_record(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
-    show_record(make_record(tmp_path / "run.mcap", 15.0), rrd=rrd, layout="balancing")
-    assert "balanced" in str(column(rrd, "/advice", "TextDocument:text"))
-
-
 def test_a_record_without_a_calibration_is_shown_in_px(tmp_path: Path) -> None:
-    path, rrd = (
-        make_record(tmp_path / "px.mcap", 22.0, calibrated=False, overrides=WITHOUT_FIT),
-        tmp_path / "px.rrd",
-    )
+    rrd, path = tmp_path / "px.rrd", tmp_path / "px.mcap"
+    make_record(path, 22.0, calibrated=False, overrides=WITHOUT_FIT)
     with RecordReader(path) as reader:
         names = reader.table("/balance").dtype.names or ()
         balances, expected = reader.balances(), reader.deflections().y

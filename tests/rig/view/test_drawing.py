@@ -1,7 +1,9 @@
 """What is drawn into Rerun: breaks of curves, axes, lanes by kinds of events; the view of `rig balance`."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -100,33 +102,17 @@ def test_axes_step_down_with_the_amplitude_whatever_the_blocks(tmp_path: Path, b
     assert np.all(late_s < 2.5 * PERIOD_S + 2 * block * 0.02)
 
 
-def test_axes_hold_a_trajectory_that_rests_far_from_zero(tmp_path: Path) -> None:
-    rrd = tmp_path / "rest.rrd"
-    draw(rrd, 64, 20.0, 40.0 + decay(20.0))
-    _, reach = reaches(rrd)
+def test_axes_hold_a_trajectory_that_rests_far_from_zero_and_grow_with_a_release(tmp_path: Path) -> None:
+    draw(tmp_path / "rest.rrd", 64, 20.0, 40.0 + decay(20.0))
     # drawn for 20 arcsec at first; what swings from 20 to 60, and rests at 40, needs more
-    np.testing.assert_allclose(reach, [30.0, 70.0, 50.0], rtol=1e-6)
-
-
-def test_axes_grow_with_a_release(tmp_path: Path) -> None:
-    rrd = tmp_path / "release.rrd"
+    np.testing.assert_allclose(reaches(tmp_path / "rest.rrd")[1], [30.0, 70.0, 50.0], rtol=1e-6)
     time_s = np.arange(0, 40, 0.02)
     y = np.where(time_s < 20, 0.1, 100 * np.cos(2 * np.pi * (time_s - 20) / PERIOD_S))
-    draw(rrd, 50, 120.0, y)
-    times_s, reach = reaches(rrd)
+    draw(tmp_path / "release.rrd", 50, 120.0, y)
+    times_s, reach = reaches(tmp_path / "release.rrd")
     assert reach.min() < 1.0
     assert reach[-1] == pytest.approx(150.0)
     assert times_s[-1] == pytest.approx(20.0, abs=0.1)
-
-
-class Stream:
-    """Keeps which entity was drawn with what."""
-
-    def __init__(self) -> None:
-        self.drawn: list[tuple[str, object]] = []
-
-    def log(self, entity: str, thing: object, **_: Any) -> None:
-        self.drawn.append((entity, thing))
 
 
 @pytest.mark.parametrize(
@@ -136,48 +122,46 @@ class Stream:
         (EventKind.LASER_DARK, {"laser"}),
         ("", set()),
         ("unknown", set()),
+        # a line that reads like an event
+        (Event(0, EventKind.STOP, "time limit").line, set()),
     ],
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
-    stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw(kind)
-    changed = {entity for entity, thing in stream.drawn if isinstance(thing, rr.StateChange)}
+    stream = Mock()
+    RunLanes(stream).draw(kind)
+    changed = {call.args[0] for call in stream.log.call_args_list if isinstance(call.args[1], rr.StateChange)}
     assert changed == {f"/{lane}" for lane in lanes}
 
 
-def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
-    stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw(Event(0, EventKind.STOP, "time limit").line)
-    assert stream.drawn == []
+@contextmanager
+def balance_view(rrd: Path) -> Iterator[Callable[..., None]]:
+    """A view of `rig balance` that draws into a file, and a block of one frame for it."""
+    config, first = complete(load_configuration(CONFIG)), Frame(np.zeros((64, 64), np.uint8), 0, 5 * 10**9, 0)
+    camera = make_camera(config)
+    seen = Deflections(np.array([first.time_ns]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
+    with BalanceView(config, rrd, lambda _: "", lambda _: None) as view:
+        view.begin(first, camera.open())
+        spots = [Spot(9.0, 9.0, *[0.1] * 8, 0)]
+        yield lambda *turns: view.block([first], Block(spots, seen, [*turns], []))
+    camera.close()
 
 
 def test_the_record_of_a_balance_does_not_grow_for_ever(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = complete(load_configuration(CONFIG))
-    camera, frame = make_camera(config), Frame(np.zeros((64, 64), np.uint8), 0, 0, 0)
-    seen = Deflections(np.array([0]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
-    with BalanceView(config, tmp_path / "balance.rrd", lambda _: "", lambda _: None) as view:
-        view.begin(frame, camera.open())
+    with balance_view(tmp_path / "balance.rrd") as draw_block:
+        monkeypatch.setattr("rig.view.balance_view._MAX_BYTES", 0)
         for _ in range(3):
-            monkeypatch.setattr("rig.view.balance_view._MAX_BYTES", 0)
-            view.block([frame], Block([Spot(9.0, 9.0, *[0.1] * 8, 0)], seen, [], []))
-    camera.close()
+            draw_block()
     assert " ".join(capsys.readouterr().err.split()).count("the view ends: its record has") == 1
 
 
 def test_a_turning_point_before_the_first_frame_is_shown(tmp_path: Path) -> None:
     """It is fitted, and the fit may place it there."""
-    config, rrd = complete(load_configuration(CONFIG)), tmp_path / "balance.rrd"
-    camera = make_camera(config)
-    first = Frame(np.zeros((64, 64), np.uint8), 0, 5_000_000_000, 5_000_000_000)
-    turn = HalfCycle(1, first.time_ns - 3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
-    seen = Deflections(np.array([first.time_ns]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
-    with BalanceView(config, rrd, lambda _: "", lambda _: None) as view:
-        view.begin(first, camera.open())
-        view.block([first], Block([Spot(9.0, 9.0, *[0.1] * 8, 0)], seen, [turn], []))
-    camera.close()
-    times_s, amplitudes, _ = measured(rrd, "/amplitude")
+    turn = HalfCycle(1, 5 * 10**9 - 3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
+    with balance_view(tmp_path / "balance.rrd") as draw_block:
+        draw_block(turn)
+    times_s, amplitudes, _ = measured(tmp_path / "balance.rrd", "/amplitude")
     assert times_s == pytest.approx([-0.003])
     assert amplitudes == pytest.approx([turn.amplitude / ARCSEC_RAD])
 

@@ -27,7 +27,7 @@ from rig.view.drawing import is_drawn
 from rig.view.show import setup_of, show_record
 from tests.rig.view import scene as view_scene
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
-from tests.rig.view.rrd_contents import column, measured, scalars
+from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 
 def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
@@ -38,10 +38,11 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     times_s, x = scalars(rrd, "/deflection/x")
     np.testing.assert_allclose(x, seen.shown_x, rtol=1e-12)
     assert times_s[[0, -1]] == pytest.approx([0.0, 19.98], abs=1e-9)
-    shown = [measured(rrd, f"/{name}")[1] for name in ("amplitude", "period")]
-    assert shown[0] == pytest.approx([swing.amplitude / ARCSEC_RAD for swing in swings])
-    periods_s = [2 * swing.half_period_s for swing in swings]
-    assert shown[1] == pytest.approx([period_s for period_s in periods_s if not math.isnan(period_s)])
+    amplitudes = [(swing.amplitude / ARCSEC_RAD, swing.u_amplitude / ARCSEC_RAD) for swing in swings]
+    periods_s = [(2 * swing.half_period_s, 2 * swing.u_half_period_s) for swing in swings]
+    periods_s = [pair for pair in periods_s if not math.isnan(pair[0])]
+    for name, expected in (("amplitude", amplitudes), ("period", periods_s)):
+        np.testing.assert_allclose(np.transpose(measured(rrd, f"/{name}")[1:]), expected, rtol=1e-5)
     angle_deg = [math.degrees(balance.line_angle_rad) for balance in balances]
     assert measured(rrd, "/balance/line_angle")[1] == pytest.approx(angle_deg)
     _, ratio, u_ratio = measured(rrd, "/balance/transverse_ratio")
@@ -50,39 +51,35 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert scalars(rrd, "/losses/missing_frames")[1][-1] == 1
     assert scalars(rrd, "/losses/lost_spots")[1][-1] == 1
     assert column(rrd, "/events", "TextLog:text")[1] == [["start: first frame"], ["stop: time limit"]]
+    # a rig without a reference spot has no such curve
+    assert not [path for path in entities(rrd) if "reference" in path]
     # the lost spot breaks the trajectory
     _, strips = column(rrd, "/lissajous/equal/trajectory/recent", "LineStrips2D:strips")
     assert sum(len(strip[0]) - 1 for strip in strips) == len(seen) - 1 - 2
     assert np.isfinite(np.concatenate([np.array(strip[0]) for strip in strips])).all()
 
 
-def test_a_cross_stands_where_the_spot_of_a_preview_is(tmp_path: Path) -> None:
+def test_a_cross_stands_where_the_spot_of_a_preview_is_and_a_lost_reference_nowhere(tmp_path: Path) -> None:
     metadata = {"frame": {"width_px": "640", "height_px": "320"}}
     with RecordWriter(tmp_path / "run.mcap", EPOCH_NS, metadata=metadata) as writer:
         spot = Spot(420.0, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0)
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
-        writer.write_spots([0], [0], [0], [spot], nowhere(1))
+        lost = spot._replace(x_px=999.0, flags=int(SpotFlag.LOST))
+        references = [spot, lost, spot._replace(x_px=423.0)]
+        writer.write_spots([0, 1, 2], [0] * 3, [0] * 3, [spot] * 3, nowhere(3), references)
         writer.write_preview(Frame(image, 0, 0, 0))
     show_record(tmp_path / "run.mcap", rrd=tmp_path / "shown.rrd")
     (crosses,) = column(tmp_path / "shown.rrd", "/camera/spot", "LineStrips2D:strips")[1]
     # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
     # coordinates
     assert np.mean(np.array(crosses).reshape(-1, 2), axis=0) == pytest.approx([210.5, 80.5], abs=1e-3)
+    reference = scalars(tmp_path / "shown.rrd", "/reference/x")[1]
+    assert reference == pytest.approx([0.0, math.nan, 3.0], nan_ok=True)
 
 
 def nowhere(count: int) -> Deflections:
     none = np.full(count, math.nan)
-    return Deflections(np.zeros(count, np.int64), none, none, none, none, DeflectionUnit.RAD)
-
-
-def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_first(tmp_path: Path) -> None:
-    data = make_record(tmp_path / "run.mcap", 15.0, overrides=WITHOUT_FIT).read_bytes()
-    (tmp_path / "begun").mkdir()
-    begun = tmp_path / "begun" / "run.mcap"
-    begun.write_bytes(data[: len(data) // 3])
-    with RecordReader(begun) as early, RecordReader(tmp_path / "run.mcap") as late:
-        assert len(early.spots()) < len(late.spots())
-        assert setup_of(early, "measuring") == setup_of(late, "measuring")
+    return Deflections(10**9 * np.arange(count), none, none, none, none, DeflectionUnit.RAD)
 
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
@@ -104,13 +101,16 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 
 
-def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
-    path = make_record(tmp_path / "run.mcap", 100.0)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    rrd = tmp_path / "shown.rrd"
-    show_record(path, rrd=rrd)
-    assert 1000 < len(scalars(rrd, "/deflection/x")[0]) < 5_000
+def test_a_record_cut_short_is_shown_as_far_as_it_goes_and_set_up_as_the_whole_one(tmp_path: Path) -> None:
+    path, cut, rrd = tmp_path / "run.mcap", tmp_path / "cut" / "run.mcap", tmp_path / "shown.rrd"
+    cut.parent.mkdir()
+    data = make_record(path, 20.0, overrides=WITHOUT_FIT).read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    show_record(cut, rrd=rrd)
+    assert 100 < len(scalars(rrd, "/deflection/x")[0]) < 900
+    with RecordReader(cut) as early, RecordReader(path) as late:
+        assert len(early.spots()) < len(late.spots())
+        assert setup_of(early, "measuring") == setup_of(late, "measuring")
 
 
 @pytest.mark.parametrize(

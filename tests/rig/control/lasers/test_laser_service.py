@@ -1,4 +1,7 @@
-"""The thread that drives a laser."""
+"""The thread that drives a laser: what it decides, turn by turn."""
+
+from concurrent.futures import Future
+from typing import Any
 
 import pytest
 
@@ -13,243 +16,207 @@ from tests.rig.control.lasers.pairs import FAMILIES, Ports, laser_for
 from tests.rig.control.stepped import turn
 
 
-def lit(service: LaserService, instrument: FakeCobolt) -> None:
-    """The service's laser open and on."""
-    turn(service)
-    service.enable()
-    turn(service)
-    assert instrument.on
+class Bench:
+    """A laser's service, turned by hand, with its instrument and permit."""
 
+    def __init__(self, ports: Ports, family: type[Any] = FakeCobolt, **stated: Any) -> None:
+        self.clock, self.instrument = ports.clock, family()
+        self.permit = LightPermit(ports.clock.monotonic)
+        kind = "cobolt" if family is FakeCobolt else "obis"
+        laser = laser_for(kind, ports.plug_in(self.instrument))
+        self.service = LaserService(laser, permit=self.permit, **stated)
 
-class TestService:
-    """What the laser's thread decides, turn by turn."""
+    def turn(self) -> float:
+        return turn(self.service)
 
-    @pytest.fixture
-    def instrument(self) -> FakeCobolt:
-        return FakeCobolt()
+    def done(self, job: Future[Any]) -> None:
+        """What becomes of a job in the next turn."""
+        self.turn()
+        assert job.result(0) is None
 
-    @pytest.fixture
-    def permit(self, ports: Ports) -> LightPermit:
-        return LightPermit(ports.clock.monotonic)
-
-    @pytest.fixture
-    def service(self, ports: Ports, instrument: FakeCobolt, permit: LightPermit) -> LaserService:
-        return LaserService(laser_for("cobolt", ports.plug_in(instrument)), permit=permit)
-
-    def test_it_is_opened_dark_and_lit_when_asked(
-        self, ports: Ports, service: LaserService, instrument: FakeCobolt
-    ) -> None:
-        assert turn(service) == 0.5
-        assert service.take_events() == ("Cobolt 12345 open, dark",)
-        assert service.snapshot.state is not None
-        power, lit, too_much = service.set_power_w(0.01), service.enable(), service.set_power_w(1.0)
-        turn(service)
-        assert power.result(0) is lit.result(0) is None
-        with pytest.raises(PowerLimit):
-            too_much.result(0)
-        assert instrument.on
-        # known at once, not with the next turn
-        assert service.snapshot.state.on
-        assert service.snapshot.state_time_ns == ports.clock.monotonic_ns()
-        off = service.off()
-        turn(service)
-        off.result(0)
-        assert not instrument.on
-
-    def test_no_disk_is_read_while_a_laser_may_be_lit(
-        self, ports: Ports, permit: LightPermit, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """A disk that hangs then would hold up the thread that could switch the laser off."""
-        instrument = FakeObis()
-        service = LaserService(laser_for("obis", ports.plug_in(instrument)), permit=permit)
-        lit_at_looks: list[bool] = []
-        monkeypatch.setattr(permit, "look_for_presses", lambda: lit_at_looks.append(instrument.on))
-        turn(service)
-        service.enable()
-        turn(service)
-        assert instrument.on
-        assert lit_at_looks
-        assert not any(lit_at_looks)
-
-    def test_silence_is_said_once_and_a_laser_found_again_is_dark(
-        self, service: LaserService, instrument: FakeCobolt
-    ) -> None:
-        lit(service, instrument)
-        service.take_events()
-        instrument.silent = True
-        assert [turn(service), turn(service)] == [1.0, 1.0]
-        assert service.snapshot.state is None
-        said = service.take_events()
-        assert said[-1] == service.snapshot.last_error
-        assert all("no reply" in text for text in said)
-        turn(service)
-        assert service.take_events() == ()
-        refused = service.enable()
-        turn(service)
-        with pytest.raises(PortLost, match="no reply"):
-            refused.result(0)
-        instrument.silent = False
-        turn(service)
-        assert not instrument.on
-        assert service.snapshot.last_error == ""
-        opened, dark = service.take_events()
-        assert opened == "Cobolt 12345 open, dark"
-        assert dark.startswith("laser off: trip 1 (WATCHDOG): the laser was lost: ")
-
-    def test_without_a_permit_it_goes_dark_once_and_stays_dark(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        lit(service, instrument)
-        permit.withdraw("the run ends")
-        turn(service)
-        assert not instrument.on
-        assert "laser off: the run ends" in service.take_events()
-        count = instrument.received.count("l0")
-        refused = service.enable()
-        turn(service)
-        with pytest.raises(DeviceError, match="the laser stays off: the run ends"):
-            refused.result(0)
-        assert instrument.received.count("l0") == count
-
-    def test_more_light_than_allowed_darkens_and_withdraws_the_permit(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        turn(service)
-        service.set_power_w(0.01)
-        service.enable()
-        turn(service)
-        service.take_events()
-        instrument.measures = 0.050
-        turn(service)
-        assert not instrument.on
-        said = "50 mW measured, 30 mW allowed by max_power_w"
-        assert service.take_events() == (f"laser off: {said}",)
-        assert said in permit.refusal
-        instrument.measures = None
-        refused = service.enable()
-        turn(service)
+    def refused(self, said: str) -> None:
+        """A light that is asked for now is refused, with these words, and nothing is lit."""
         with pytest.raises(DeviceError, match=said):
-            refused.result(0)
-        assert not instrument.on
+            self.done(self.service.enable())
+        assert not self.instrument.on
 
-    def test_modulation_switched_on_while_it_is_lit_darkens(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        lit(service, instrument)
-        instrument.mode = 4
-        turn(service)
-        assert not instrument.on
-        assert "modulation" in permit.refusal
+    def light(self) -> None:
+        """The laser open and on."""
+        self.turn()
+        self.done(self.service.enable())
+        assert self.instrument.on
+        self.service.take_events()
 
-    def test_a_laser_that_is_lit_at_its_panel_is_darkened_and_that_is_latched(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        for _ in range(2):
-            turn(service)
-        instrument.light(True)
-        turn(service)
-        assert not instrument.on
-        assert "it is lit, but not by this program" in permit.refusal
-        refused = service.enable()
-        turn(service)
-        with pytest.raises(DeviceError, match="it is lit, but not"):
-            refused.result(0)
 
-    def test_an_off_outdates_a_light_that_still_waits(
-        self, service: LaserService, instrument: FakeCobolt
-    ) -> None:
-        turn(service)
-        lit, dark = service.enable(), service.off()
-        turn(service)
-        dark.result(0)
-        with pytest.raises(DeviceError, match="was switched off meanwhile"):
-            lit.result(0)
-        assert "l1" not in instrument.received
+@pytest.fixture
+def bench(ports: Ports) -> Bench:
+    return Bench(ports)
 
-    @pytest.mark.parametrize("by", ["off", "permit"])
-    def test_a_laser_that_lights_late_is_not_waited_for_when_it_shall_be_dark(
-        self, ports: Ports, permit: LightPermit, by: str
-    ) -> None:
-        instrument = FakeObis()
-        service = LaserService(laser_for("obis", ports.plug_in(instrument)), permit=permit)
-        turn(service)
-        instrument.delay = 10_000
-        began_s = ports.clock.monotonic()
-        usual, asked = instrument.answer, [service.off if by == "off" else lambda: permit.withdraw("the end")]
 
-        def answer(command: str) -> str | None:
-            if asked and ports.clock.monotonic() > began_s + 1.0:
-                asked.pop()()
-            return usual(command)
+def test_it_is_opened_dark_and_lit_when_asked(bench: Bench) -> None:
+    service = bench.service
+    assert bench.turn() == 0.5
+    assert service.take_events() == ("Cobolt 12345 open, dark",)
+    assert service.snapshot.state is not None
+    power, too_much = service.set_power_w(0.01), service.set_power_w(1.0)
+    bench.done(service.enable())
+    assert power.result(0) is None
+    with pytest.raises(PowerLimit):
+        too_much.result(0)
+    assert bench.instrument.on
+    # known at once, not with the next turn
+    assert service.snapshot.state.on
+    assert service.snapshot.state_time_ns == bench.clock.monotonic_ns()
+    bench.done(service.off())
+    assert not bench.instrument.on
 
-        instrument.answer = answer  # type: ignore[method-assign]
-        lit = service.enable()
-        turn(service)
-        with pytest.raises(DeviceError, match="it was switched off"):
-            lit.result(0)
-        assert not instrument.on
-        assert ports.clock.monotonic() - began_s < 2
 
-    def test_an_off_that_was_not_obeyed_is_given_again(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        lit(service, instrument)
-        instrument.deaf_to_off = 20
-        permit.withdraw("the run ends")
-        turn(service)
-        assert instrument.on
-        instrument.deaf_to_off = 0
-        turn(service)
-        assert not instrument.on
+def test_no_disk_is_read_while_a_laser_may_be_lit(ports: Ports, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that hangs then would hold up the thread that could switch the laser off."""
+    bench = Bench(ports, FakeObis)
+    lit_at_looks: list[bool] = []
+    monkeypatch.setattr(bench.permit, "look_for_presses", lambda: lit_at_looks.append(bench.instrument.on))
+    bench.light()
+    assert lit_at_looks
+    assert not any(lit_at_looks)
 
-    def test_one_that_refused_to_light_and_is_lit_at_its_panel_later_is_darkened(
-        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
-    ) -> None:
-        turn(service)
-        instrument.fault = 4
-        lit = service.enable()
-        turn(service)
-        with pytest.raises(DeviceError):
-            lit.result(0)
-        assert not instrument.on
-        instrument.fault = 0
-        turn(service)
-        instrument.light(True)
-        turn(service)
-        assert not instrument.on
-        assert "it is lit, but not by this program" in permit.refusal
 
-    def test_an_off_is_never_too_late(
-        self, ports: Ports, service: LaserService, instrument: FakeCobolt
-    ) -> None:
-        """A computer that stood still must not forget it."""
-        lit(service, instrument)
-        off = service.off()
-        ports.clock.sleep(60.0)
-        turn(service)
-        off.result(0)
-        assert not instrument.on
+def test_silence_is_said_once_and_a_laser_found_again_is_dark(bench: Bench) -> None:
+    bench.light()
+    bench.instrument.silent = True
+    assert [bench.turn(), bench.turn()] == [1.0, 1.0]
+    assert bench.service.snapshot.state is None
+    said = bench.service.take_events()
+    assert said[-1] == bench.service.snapshot.last_error
+    assert all("no reply" in text for text in said)
+    bench.turn()
+    assert bench.service.take_events() == ()
+    with pytest.raises(PortLost, match="no reply"):
+        bench.done(bench.service.enable())
+    bench.instrument.silent = False
+    bench.turn()
+    assert not bench.instrument.on
+    assert bench.service.snapshot.last_error == ""
+    opened, dark = bench.service.take_events()
+    assert opened == "Cobolt 12345 open, dark"
+    assert dark.startswith("laser off: trip 1 (WATCHDOG): the laser was lost: ")
 
-    @pytest.mark.parametrize("own", [True, False])
-    def test_its_own_interlock_needs_an_acknowledgement(
-        self, ports: Ports, instrument: FakeCobolt, permit: LightPermit, own: bool
-    ) -> None:
-        laser = laser_for("cobolt", ports.plug_in(instrument))
-        service = LaserService(laser, permit=permit, has_own_interlock=own)
-        permit.begin()
-        turn(service)
-        instrument.interlock_closed = False
-        turn(service)
-        turn(service)
-        assert service.take_events().count("interlock opened") == 1
-        assert permit.refusal == ("trip 1 (INTERLOCK): the interlock of the laser opened" if own else "")
 
-    def test_a_fault_is_said_when_it_comes(self, service: LaserService, instrument: FakeCobolt) -> None:
-        turn(service)
-        for fault in (4, 4, 1):
-            instrument.fault = fault
-            turn(service)
-        assert service.take_events()[1:] == ("constant-power time-out", "temperature error")
+def test_without_a_permit_it_goes_dark_once_and_stays_dark(bench: Bench) -> None:
+    bench.light()
+    bench.permit.withdraw("the run ends")
+    bench.turn()
+    assert not bench.instrument.on
+    assert bench.service.take_events() == ("laser off: the run ends",)
+    count = bench.instrument.received.count("l0")
+    bench.refused("the laser stays off: the run ends")
+    assert bench.instrument.received.count("l0") == count
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"measures": 0.050}, "50 mW measured, 30 mW allowed by max_power_w"),
+        ({"mode": 4}, "modulation"),
+        ({"on": True}, "it is lit, but not by this program"),
+    ],
+)
+def test_what_must_not_be_darkens_and_withdraws_the_permit(
+    bench: Bench, changed: dict[str, object], said: str
+) -> None:
+    if "on" in changed:
+        bench.turn()
+        bench.turn()
+        bench.service.take_events()
+    else:
+        bench.light()
+    vars(bench.instrument).update(changed)
+    bench.turn()
+    assert not bench.instrument.on
+    assert [said in text for text in bench.service.take_events()] == [True]
+    assert said in bench.permit.refusal
+    bench.instrument.measures = None
+    bench.refused(said)
+
+
+def test_an_off_outdates_a_light_that_still_waits(bench: Bench) -> None:
+    bench.turn()
+    lit, dark = bench.service.enable(), bench.service.off()
+    bench.done(dark)
+    with pytest.raises(DeviceError, match="was switched off meanwhile"):
+        lit.result(0)
+    assert "l1" not in bench.instrument.received
+
+
+@pytest.mark.parametrize("by", ["off", "permit"])
+def test_a_laser_that_lights_late_is_not_waited_for_when_it_shall_be_dark(ports: Ports, by: str) -> None:
+    bench = Bench(ports, FakeObis)
+    bench.turn()
+    bench.instrument.delay = 10_000
+    began_s = bench.clock.monotonic()
+    usual = bench.instrument.answer
+    asked = [bench.service.off if by == "off" else lambda: bench.permit.withdraw("the end")]
+
+    def answer(command: str) -> str | None:
+        if asked and bench.clock.monotonic() > began_s + 1.0:
+            asked.pop()()
+        reply: str | None = usual(command)
+        return reply
+
+    bench.instrument.answer = answer
+    bench.refused("it was switched off")
+    assert bench.clock.monotonic() - began_s < 2
+
+
+def test_an_off_that_was_not_obeyed_is_given_again(bench: Bench) -> None:
+    bench.light()
+    bench.instrument.deaf_to_off = 20
+    bench.permit.withdraw("the run ends")
+    bench.turn()
+    assert bench.instrument.on
+    bench.instrument.deaf_to_off = 0
+    bench.turn()
+    assert not bench.instrument.on
+
+
+def test_one_that_refused_to_light_and_is_lit_at_its_panel_later_is_darkened(bench: Bench) -> None:
+    bench.turn()
+    bench.instrument.fault = 4
+    bench.refused("constant-power time-out")
+    bench.instrument.fault = 0
+    bench.turn()
+    bench.instrument.light(True)
+    bench.turn()
+    assert not bench.instrument.on
+    assert "it is lit, but not by this program" in bench.permit.refusal
+
+
+def test_an_off_is_never_too_late(bench: Bench) -> None:
+    """A computer that stood still must not forget it."""
+    bench.light()
+    off = bench.service.off()
+    bench.clock.sleep(60.0)
+    bench.done(off)
+    assert not bench.instrument.on
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_its_own_interlock_needs_an_acknowledgement(ports: Ports, own: bool) -> None:
+    bench = Bench(ports, has_own_interlock=own)
+    bench.permit.begin()
+    bench.turn()
+    bench.instrument.interlock_closed = False
+    bench.turn()
+    bench.turn()
+    assert bench.service.take_events().count("interlock opened") == 1
+    assert bench.permit.refusal == ("trip 1 (INTERLOCK): the interlock of the laser opened" if own else "")
+
+
+def test_a_fault_is_said_when_it_comes(bench: Bench) -> None:
+    bench.turn()
+    for bench.instrument.fault in (4, 4, 1):
+        bench.turn()
+    assert bench.service.take_events()[1:] == ("constant-power time-out", "temperature error")
 
 
 @pytest.mark.parametrize("kind", sorted(LASERS))

@@ -1,6 +1,8 @@
 """What one family of lasers does in a way of its own."""
 
+import os
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -74,12 +76,18 @@ def test_a_thorlabs_whose_enable_input_was_not_used_keeps_it_so(opened: Opened) 
         laser.enable()
 
 
-def test_a_cobolt_without_a_direct_input_is_driven(opened: Opened) -> None:
-    instrument = FakeCobolt()
-    instrument.direct_input = None
+@pytest.mark.parametrize(("family", "lacks"), [(FakeCobolt, "direct_input"), (FakeObis, "handshaking")])
+def test_one_that_lacks_a_direct_input_or_handshaking_is_driven(
+    opened: Opened, family: type[Instrument], lacks: str
+) -> None:
+    instrument = family()
+    setattr(instrument, lacks, None)
     laser = opened(instrument)
+    laser.set_power_w(0.01)
     laser.enable()
     assert instrument.on
+    laser.off()
+    assert not instrument.on
 
 
 def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(opened: Opened) -> None:
@@ -144,18 +152,6 @@ def test_a_fault_forbids_lighting(ports: Ports) -> None:
         laser.close()
 
 
-def test_an_obis_without_handshaking_is_given_it(ports: Ports) -> None:
-    instrument = FakeObis()
-    instrument.handshaking = False
-    laser = laser_for("obis", ports.plug_in(instrument))
-    assert laser.open().serial == "LX123456"
-    laser.set_power_w(0.01)
-    laser.enable()
-    assert instrument.on
-    laser.close()
-    assert not instrument.on
-
-
 def test_a_cobolt_in_autostart_names_the_remedy(ports: Ports) -> None:
     instrument = FakeCobolt()
     instrument.autostart = True
@@ -202,3 +198,18 @@ def test_a_laser_deaf_to_off_is_told_again_when_it_is_closed(ports: Ports) -> No
         laser.close()
         assert instrument.on is not dark
         assert ports.lines[-1].closed
+
+
+def test_on_a_real_terminal_one_is_lit_and_closed_without_leaving_a_descriptor() -> None:
+    with closing(FakeObis()) as instrument:
+        laser = laser_for("obis", instrument.port)
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(2):
+            laser.open()
+            laser.set_power_w(0.020)
+            laser.enable()
+            assert instrument.on
+            assert instrument.set_value == pytest.approx(0.020, rel=1e-6)
+            laser.close()
+            assert not instrument.on
+        assert len(os.listdir("/proc/self/fd")) == before
