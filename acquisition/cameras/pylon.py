@@ -13,7 +13,7 @@ from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures
 from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import CameraRun, only_camera
 from acquisition.frames.losses import LAST_SHORT_ID
-from processing.errors import MissingPackage
+from processing.errors import optional_module
 from processing.units import NS_PER_S
 
 _TICKS_PER_S: Final = "GevTimestampTickFrequency"
@@ -187,14 +187,10 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
 def load_pylon() -> Any:
     """The module pypylon.pylon. Raises MissingPackage if missing."""
-    try:
-        with warnings.catch_warnings():
-            # importing its binary module raises warnings, and would fail if warnings are errors
-            warnings.simplefilter("ignore")
-            from pypylon import pylon
-    except ImportError:
-        raise MissingPackage("camera.driver = 'pylon'", "pypylon", "pylon") from None
-    return pylon
+    with warnings.catch_warnings():
+        # importing its binary module raises warnings, and would fail if warnings are errors
+        warnings.simplefilter("ignore")
+        return optional_module("pypylon.pylon", "camera.driver = 'pylon'", "pypylon", "pylon")
 
 
 def list_cameras() -> list[PluggedCamera]:

@@ -18,7 +18,7 @@ from acquisition.camera import CameraLost, FeatureValue, PixelFormat
 from acquisition.cameras.genicam import GenicamFeatures
 from acquisition.cameras.genicam_access import Aliases
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
-from processing.errors import DeviceError, MissingPackage
+from processing.errors import DeviceError, optional_module
 
 ACCESS: Final = (
     "not implemented",
@@ -56,11 +56,7 @@ class FeatureReading:
 
 def load_genapi() -> Any:
     """The module of EMVA's GenApi. Raises MissingPackage if it is not installed."""
-    try:
-        from genicam import genapi
-    except ImportError:
-        raise MissingPackage("camera.driver = 'usb3vision'", "genicam", "usb3vision") from None
-    return genapi
+    return optional_module("genicam.genapi", "camera.driver = 'usb3vision'", "genicam", "usb3vision")
 
 
 class NodeMap(GenicamFeatures):
