@@ -9,13 +9,14 @@ import pytest
 
 from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
+from calibration import Axes
 from processing.errors import DeviceError
 from processing.spot import SensorModel, SpotTracker
 from rig.devices import Devices, FrameStream, aligning
 from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
-from rig.instrument import DualSpotTracker
+from rig.instrument import Optics, Pipeline
 from rig.settings import Configuration, load_configuration
 from rig.terminal import palette
 from tests.rig.command_line import CONFIGS
@@ -72,7 +73,8 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     """The pendulum's spot is found although the reference's is the brighter one."""
     image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
-    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings())
+    pipeline = Pipeline(Optics(model, None, Axes(), reference_row=260), image.shape)
+    look = take_look(Frame(image, 0, 0, 0), FULL_SCALE_DN, pipeline, None, CameraSettings())
     assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
@@ -194,7 +196,7 @@ def test_a_camera_that_ends_ends_the_picture_with_its_reason(
 def test_the_newest_of_the_frames_that_have_come_is_shown(
     config: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    came, shown = list[list[Frame]](), list[np.ndarray]()
+    came, shown = list[list[Frame]](), list[Frame]()
     take = FrameStream.take
     monkeypatch.setattr(FrameStream, "take", lambda *words: came.append(take(*words)) or came[-1])
     monkeypatch.setattr(aligning, "take_look", lambda *words: shown.append(words[0]) or take_look(*words))
@@ -202,7 +204,7 @@ def test_the_newest_of_the_frames_that_have_come_is_shown(
         LivePicture(config, devices).show(opened, seconds=0.5)
     blocks = [frames for frames in came if frames]
     assert max(map(len, blocks)) > 1
-    assert all(image is frames[-1].image for image, frames in zip(shown, blocks, strict=True))
+    assert all(frame is frames[-1] for frame, frames in zip(shown, blocks, strict=True))
 
 
 @pytest.mark.slow
