@@ -134,9 +134,8 @@ class FrameLine:
             return [timing.time_by_arrival(frame)]
         if camera_ns >= 0 and self._in_real_time:
             off_ns = math.inf if timing.last is None or not has_time else self._off_ns(frame, timing.last)
-            is_confirmed = has_time and (off_ns is None or timing.last is None)
-            if not is_confirmed:
-                return self._hold_back(_DoubtfulFrame(frame, off_ns or 0.0, camera_ns))
+            if off_ns is not None and (timing.last is not None or not has_time):
+                return self._hold_back(_DoubtfulFrame(frame, off_ns, camera_ns))
             if self._waiting:
                 return self._release_confirmed(frame)
         timing.learn(frame)

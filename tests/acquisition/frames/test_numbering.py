@@ -357,6 +357,16 @@ def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
     assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
 
 
+@pytest.mark.parametrize(("gap", "missing"), [(1, 0), (6, 5)])
+def test_a_clock_that_went_on_while_the_camera_was_gone_is_taken_as_it_is(gap: int, missing: int) -> None:
+    line = after(10)
+    line.restart()
+    frame, note = joined_one(line, 0, 10**12 + (9 + gap) * 10**7, HOST_NS + (9 + gap) * 10**7)
+    assert (frame.sequence, frame.device_time_ns) == (9 + gap, 10**12 + (9 + gap) * 10**7)
+    assert (line.missing, list(line.steps)) == (missing, [])
+    assert f"about {missing} of them" in note
+
+
 def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
     """As by a network's clock, decades ahead of the camera's own."""
     line = after(10, 10**9)
