@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import PylonSettings
+from acquisition.cameras.pixel_formats import format_of
 from acquisition.cameras.pylon import PylonCamera
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
@@ -149,6 +151,19 @@ def test_the_numbers_of_blocks_show_what_the_bus_has_dropped(
     frames = [camera.read(5.0) for _ in range(5)]
     assert [frame.sequence for frame in frames if frame is not None] == [0, 1, 5, 6, 7]
     assert camera.status.dropped_by_bus == 3
+
+
+def test_padding_that_cannot_be_left_out_is_refused(
+    camera: PylonCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pixels of 12 bits in rows of an odd width end within a byte."""
+    camera.configure(CameraSettings(width_px=63, height_px=48, pixel_format="mono12"))
+    camera.start()
+    assert camera._expected is not None
+    camera._expected = replace(camera._expected, format=format_of("Mono12p", None))
+    monkeypatch.setattr(camera._pylon.GrabResult, "GetPaddingX", lambda _: 1)
+    with pytest.raises(DeviceError, match="pads rows of 63 px in Mono12p; set a width"):
+        camera.read(5.0)
 
 
 def test_the_camera_that_is_meant_is_found_or_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

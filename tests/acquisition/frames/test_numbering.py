@@ -102,7 +102,7 @@ def test_a_first_time_that_is_wrong_moves_the_others() -> None:
     assert off_ns(frames) < 5e6
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     late=st.lists(st.floats(0.0, 2000.0), min_size=1, max_size=5),
     lost=st.lists(st.integers(20, 280), max_size=20),
@@ -239,7 +239,7 @@ def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -
     assert [frame.device_time_ns for frame in frames] == times
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     rate_hz=st.sampled_from([5.0, 30.0, 200.0]),
     late_ms=st.lists(st.floats(0.0, 400.0), min_size=12, max_size=12),
