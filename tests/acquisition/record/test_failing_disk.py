@@ -3,6 +3,7 @@ one does not delay the writer, and its late errors are reported.
 """
 
 import errno
+import itertools
 import os
 import struct
 import subprocess
@@ -267,37 +268,21 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     assert not [f for f in check_record(tmp_path / "whole.mcap") if f.severity == "error"]
 
 
-class Clock:
-    """Stands still until it is moved on."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def written_after_a_second(writer: RecordWriter, clock: Clock, kind: str) -> None:
-    """An event, whose writing flushes once."""
-    clock.now_s += 1.0
-    writer.write_event(round(clock.now_s), kind, "")
+def impatient(path: Path, **more: int) -> RecordWriter:
+    """A writer that flushes after every event: its clock moves on by a second at every look."""
+    return RecordWriter(path, 0, clock=itertools.count().__next__, **more)
 
 
-def write_until_it_fails(writer: RecordWriter, clock: Clock) -> None:
+def write_until_it_fails(writer: RecordWriter) -> None:
     """An error of the disk is found in a thread, and raised by a flush after it."""
     end_s = time.monotonic() + DEADLINE_S
     while time.monotonic() < end_s:
-        written_after_a_second(writer, clock, "b")
+        writer.write_event(0, "b", "")
         time.sleep(0.001)
 
 
@@ -306,10 +291,8 @@ def kinds(path: Path) -> list[str]:
         return [event.kind for event in reader.events()]
 
 
-def test_writing_does_not_wait_for_the_disk(
-    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    writer = RecordWriter(path, 0, clock=clock)
+def test_writing_does_not_wait_for_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = impatient(path)
     real = mcap_file.sync_file
     entered, go_on = threading.Event(), threading.Event()
     forced: list[int] = []
@@ -321,10 +304,10 @@ def test_writing_does_not_wait_for_the_disk(
         forced.append(number)
 
     monkeypatch.setattr(mcap_file, "sync_file", slow)
-    written_after_a_second(writer, clock, "a")
+    writer.write_event(0, "a", "")
     assert entered.wait(DEADLINE_S)
     for _ in range(20):
-        written_after_a_second(writer, clock, "b")
+        writer.write_event(0, "b", "")
     assert forced == []
     # a kill loses none of it: it is in the file, though not yet on the disk
     assert kinds(path) == ["a", *["b"] * 20]
@@ -336,26 +319,26 @@ def test_writing_does_not_wait_for_the_disk(
 
 
 def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
-    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = RecordWriter(path, 0, clock=clock)
+    writer = impatient(path)
 
     def gone(number: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(mcap_file, "sync_file", gone)
-    written_after_a_second(writer, clock, "a")
+    writer.write_event(0, "a", "")
     with pytest.raises(RecordError, match=r"run\.mcap: could not be closed properly: Input/output error"):
-        write_until_it_fails(writer, clock)
+        write_until_it_fails(writer)
     with pytest.raises(RecordError, match="is closed"):
-        written_after_a_second(writer, clock, "c")
+        writer.write_event(0, "c", "")
     writer.close()
 
 
 def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
-    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = RecordWriter(path, 0, clock=clock)
+    writer = RecordWriter(path, 0, flush_interval_s=1e9)
     real = mcap_file.sync_file
     failures = [OSError(errno.EIO, "Input/output error")]
 
@@ -365,16 +348,15 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
         real(number)
 
     monkeypatch.setattr(mcap_file, "sync_file", once)
-    written_after_a_second(writer, clock, "a")
+    writer.write_event(0, "a", "")
+    writer.flush(wait=False)
     with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
         writer.close()
     assert kinds(path) == ["a", "record", "failed", "stop"]
 
 
-def test_a_disk_that_is_full_behind_ones_back(
-    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    writer = RecordWriter(path, 0, clock=clock, reserve_bytes=4096)
+def test_a_disk_that_is_full_behind_ones_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = impatient(path, reserve_bytes=4096)
 
     def full(self: Reserve, size: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -383,7 +365,7 @@ def test_a_disk_that_is_full_behind_ones_back(
     monkeypatch.setattr(mcap_file, "_SPARE_BYTES", 10**6)
     writer.write_event(0, "a", "")
     with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
-        write_until_it_fails(writer, clock)
+        write_until_it_fails(writer)
     first, *between, record, failed, stop = kinds(path)
     assert (first, set(between), record, failed, stop) == ("a", {"b"}, "record", "failed", "stop")
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
