@@ -200,11 +200,13 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
         "anything": rng.integers(0, 2**62, 300).tolist(),
     }[shows]
     times = [t if n < 120 else wrong[n] for n, t in enumerate(steady())]
-    frames, clock, notes, _ = joined(times)
+    frames, clock, notes, (step,) = joined(times)
     assert [frame.sequence for frame in frames] == list(range(300))
     assert clock.rejected == 0
     assert len(notes) == 1
     first = 121 if shows == "frozen" else 120
+    # a step of 0 says in the record that the clock is no longer used
+    assert (step.time_ns, step.step_ns, step.u_step_ns > 0) == (frames[first].time_ns, 0, True)
     assert f"is abandoned from frame {first} on" in notes[0]
     assert "restart the camera" in notes[0]
     assert off_ns(frames) < 5e6
@@ -217,6 +219,7 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
 def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
     frames, _, notes, _ = joined([2**64 - 1] * 50)
     assert [frame.sequence for frame in frames] == list(range(50))
+    assert frames[0].device_time_ns == frames[0].host_time_ns, "nothing is known of a delay"
     assert len(notes) == 1
     assert off_ns(frames) < 5e6
 
@@ -328,6 +331,7 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
     shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
     frames, _, _, (step,) = carried(shown, hanging(true, 110, 160))
     assert step.time_ns == {frame.sequence: frame.time_ns for frame in frames}[135]
+    assert [frame.device_time_ns for frame in frames[:135]] == shown[:135]
 
 
 def after(count: int, first_ns: int = 10**12, in_real_time: bool = True) -> FrameLine:
