@@ -26,23 +26,26 @@ class DeviceError(RigError):
 
 
 class MissingPackage(ConfigurationError, DeviceError):
-    """A Python package of an optional part of the program, such as a kind of camera, is not installed.
+    """A Python package of an optional part of the program, such as a kind of camera, cannot be imported."""
+
+
+def optional_module(module: str, purpose: str, package: str, extra: str, alternative: str = "") -> Any:
+    """The module `module` of a package; raises MissingPackage where that is not installed, or is broken.
 
     `purpose` needs the package, `extra` is the extra of pyproject.toml that installs it, `alternative` does
     without it.
     """
-
-    def __init__(self, purpose: str, package: str, extra: str, alternative: str = "") -> None:
-        text = f"{purpose} needs {package}, of the extra {extra}: {sys.executable} -m pip install {package}"
-        super().__init__(f"{text}, or {alternative}" if alternative else text)
-
-
-def optional_module(module: str, purpose: str, package: str, extra: str, alternative: str = "") -> Any:
-    """The module `module`; raises MissingPackage, with the other arguments, if it is not installed."""
+    root = module.partition(".")[0]
     try:
+        import_module(root)
         return import_module(module)
-    except ImportError:
-        raise MissingPackage(purpose, package, extra, alternative) from None
+    except Exception as error:
+        why, option = f"of the extra {extra}", ""
+        if not isinstance(error, ModuleNotFoundError) or error.name != root:
+            why = f"which is installed but cannot be loaded ({one_line_text(error)})"
+            option = "--force-reinstall "
+        text = f"{purpose} needs {package}, {why}: {sys.executable} -m pip install {option}{package}"
+        raise MissingPackage(f"{text}, or {alternative}" if alternative else text) from None
 
 
 class RecordError(RigError):

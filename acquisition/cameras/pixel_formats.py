@@ -254,6 +254,14 @@ class ExpectedFrames:
         """Whether `x_padding` bytes after each row can be left out."""
         return not x_padding or self.format.rows_end_with_bytes(self.width_px)
 
+    def refuse_padding(self, camera: str, x_padding: int) -> None:
+        """Raise DeviceError, which names the `camera`, where padding cannot be left out."""
+        if not self.can_strip_padding(x_padding):
+            raise DeviceError(
+                f"{camera}: pads rows of {self.width_px} px in {self.format.name}; set a width that is a "
+                "multiple of 4, or another pixel format"
+            )
+
     def image(self, raw: Bytes, x_padding: int = 0) -> Image:
         """The image in these bytes, of the colour plane to deliver; read-only."""
         mosaic = self.format.image(raw, self.width_px, self.height_px, x_padding)

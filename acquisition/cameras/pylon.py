@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from acquisition.camera import CameraInfo, CameraLost, ColourPlane, FeatureValue, Frame, PluggedCamera
+from acquisition.camera import CameraInfo, CameraLost, FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.drivers import PylonSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures
-from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.cameras.pixel_formats import ExpectedFrames
 from acquisition.cameras.reading import CameraRun, only_camera
 from acquisition.frames.losses import LAST_SHORT_ID
-from processing.errors import MissingPackage
+from processing.errors import optional_module
 from processing.units import NS_PER_S
 
 _TICKS_PER_S: Final = "GevTimestampTickFrequency"
@@ -57,10 +57,6 @@ class PylonFeatures(GenicamFeatures):
     def displayed_value(self, name: str) -> FeatureValue:
         return str(self._node(self.local_name(name)).ToString())
 
-    def offered_formats(self) -> tuple[str, ...]:
-        # pylon makes arrays of whole words only
-        return tuple(name for name in super().offered_formats() if not name.endswith(("p", "Packed")))
-
     def _node(self, name: str) -> Any:
         """pylon's node of a feature; None if the camera does not have it."""
         node = self._nodes.GetNode(name)
@@ -99,7 +95,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self._camera: Any = None
         self._pylon: Any = None
         self._emulated = False
-        self._format_and_plane: tuple[Format | None, ColourPlane | None] = (None, None)
+        self._expected: ExpectedFrames | None = None
         self._tick_ns = 0.0
 
     def _library_error(self) -> type[Exception]:
@@ -141,7 +137,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             self._must_be_idle()
             # block numbers of old GigE cameras end at 65535
             self._begin((LAST_SHORT_ID,))
-            self._format_and_plane = (features.present_format(), features.plane)
+            self._expected = features.expected_frames(has_clock=not self._emulated)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = camera.PayloadSize.Value
             camera.MaxNumBuffer.Value = buffer_count(features.expected_rate_hz(), frame_bytes, 64, 4096)
@@ -149,8 +145,8 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             self._run = CameraRun(self._next, camera.StopGrabbing)
 
     def _next(self, timeout_s: float) -> Frame | None:
-        camera, run = self._camera, self._run
-        if camera is None or run is None:
+        camera, run, expected = self._camera, self._run, self._expected
+        if camera is None or run is None or expected is None:
             return None
         result = camera.RetrieveResult(int(timeout_s * 1000) + 1, self._pylon.TimeoutHandling_Return)
         host_time_ns = time.monotonic_ns()
@@ -167,11 +163,9 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             number = self._numbers.number(None if block == _UNKNOWN_BLOCK_ID else block, "dropped_by_bus")
             if number is None:
                 return None
-            image = np.array(result.GetArray(), copy=True)
-            pixel_format, plane = self._format_and_plane
-            if pixel_format is not None:
-                image = plane_of(image, pixel_format.colours, plane)
-            image.flags.writeable = False
+            x_padding = result.GetPaddingX()
+            expected.refuse_padding(self._name, x_padding)
+            image = expected.image(np.frombuffer(result.GetBuffer(), np.uint8), x_padding)
             device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
         finally:
             result.Release()
@@ -187,14 +181,10 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
 def load_pylon() -> Any:
     """The module pypylon.pylon. Raises MissingPackage if missing."""
-    try:
-        with warnings.catch_warnings():
-            # importing its binary module raises warnings, and would fail if warnings are errors
-            warnings.simplefilter("ignore")
-            from pypylon import pylon
-    except ImportError:
-        raise MissingPackage("camera.driver = 'pylon'", "pypylon", "pylon") from None
-    return pylon
+    with warnings.catch_warnings():
+        # importing its binary module raises warnings, and would fail if warnings are errors
+        warnings.simplefilter("ignore")
+        return optional_module("pypylon.pylon", "camera.driver = 'pylon'", "pypylon", "pylon")
 
 
 def list_cameras() -> list[PluggedCamera]:

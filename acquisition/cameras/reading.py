@@ -66,9 +66,8 @@ class CameraRun:
                         raise TimeoutError
                 return None
             except RigError as error:
-                # a new error, because the traceback of this one keeps the camera's objects alive; made of its
-                # text alone, whatever arguments its class takes
-                self._error = type(error).__new__(type(error), str(error))
+                # a new error, because the traceback of this one keeps the camera's objects alive
+                self._error = type(error)(str(error))
                 self._stopping.set()
                 raise
             finally:

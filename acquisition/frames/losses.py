@@ -252,8 +252,8 @@ class FrameTiming:
             frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self.interval_ns
         )
 
-    def learn(self, frame: Frame) -> Frame:
-        """Learn from a frame of valid time; returns it."""
+    def learn(self, frame: Frame) -> None:
+        """Learn from a frame of valid time."""
         last, self.last = self.last, frame
         if last is not None:
             passed_ns, numbers = frame.time_ns - last.time_ns, frame.sequence - last.sequence
@@ -274,7 +274,6 @@ class FrameTiming:
             self.delay_ns += _DELAY_SMOOTHING * min(max(excess_ns, -limit_ns), limit_ns)
             wider_ns = min(abs(excess_ns), limit_ns) - self.scatter_ns
             self.scatter_ns = max(self.scatter_ns + _DELAY_SMOOTHING * wider_ns, _MIN_SCATTER_NS)
-        return frame
 
     def time_by_arrival(self, frame: Frame) -> Frame:
         """The frame with the time of its arrival less the usual delay, smoothed by the camera's rate."""

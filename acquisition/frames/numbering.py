@@ -8,6 +8,7 @@ step is subtracted from all later times). A clock with no consistent times is ab
 """
 
 import math
+from collections import deque
 from collections.abc import Collection, Iterable
 from itertools import pairwise
 from typing import Final, NamedTuple
@@ -46,17 +47,6 @@ _U_BY_HOST_NS = 2_000_000
 """Standard uncertainty of the time between two frames by the computer's clock."""
 
 
-class NumberedFrames(NamedTuple):
-    """Frames with final numbers and times, and events of the camera's clock."""
-
-    frames: list[Frame]
-    notes: tuple[tuple[EventKind, str], ...] = ()
-    """Kinds and texts of events."""
-    steps: tuple[RecordedClockStep, ...] = ()
-    """Steps of the clock that were subtracted, each with the time of the frame after it. A step of 0 means
-    that the clock was abandoned; its uncertainty is then that of each later time."""
-
-
 class _DoubtfulFrame(NamedTuple):
     """A frame whose time is in doubt."""
 
@@ -79,6 +69,11 @@ class FrameLine:
 
     Attributes
     ----------
+    events
+        Kinds and texts of events of the camera's clock, until they are taken.
+    steps
+        Steps of the clock that were subtracted, until they are taken, each with the time of the frame after
+        it. A step of 0 means that the clock was abandoned; its uncertainty is then that of each later time.
     missing
         Number of frames missed while the camera was gone.
     rejected
@@ -98,6 +93,8 @@ class FrameLine:
         self._number_offset = self._offset_ns = 0
         self._clock_abandoned = False
         self._steps_ns: list[float] = []
+        self.events: deque[tuple[EventKind, str]] = deque()
+        self.steps: deque[RecordedClockStep] = deque()
         self.missing = self.rejected = self.wraps = 0
 
     def patience_s(self, initial_s: float) -> float:
@@ -116,8 +113,9 @@ class FrameLine:
         self._offset_ns = 0
         self._clock_abandoned = False
 
-    def take(self, item: object) -> NumberedFrames:
-        """Frames that are final after `item` was read: none while a step is in doubt, several afterwards.
+    def take(self, item: object) -> list[Frame]:
+        """Frames with final numbers and times after `item` was read: none while a step is in doubt, several
+        afterwards.
 
         Raises DeviceError, in one line, for a frame or a clock that `guard` refuses.
         """
@@ -127,43 +125,31 @@ class FrameLine:
         camera_ns = frame.device_time_ns
         has_time = 0 <= camera_ns < NO_TIME_NS
         before_gap, timing = self._before_gap, self._timing
-        continues = before_gap is not None and (camera_ns < NO_TIME_NS or not self._in_real_time)
-        note, step = (
-            self._after_gap(frame, before_gap) if before_gap is not None and continues else (None, [])
-        )
+        if before_gap is not None and (camera_ns < NO_TIME_NS or not self._in_real_time):
+            self._go_on_after_gap(frame, before_gap)
         time_ns = self._middle_ns(frame) + self._offset_ns if has_time else camera_ns
         if self._number_offset or time_ns != camera_ns:
             frame = Frame(frame.image, frame.sequence + self._number_offset, time_ns, frame.host_time_ns)
-        if camera_ns < 0 or not self._in_real_time:
-            final = NumberedFrames([timing.learn(frame)])
-        elif self._clock_abandoned:
-            final = NumberedFrames([timing.time_by_arrival(frame)])
-        else:
+        if self._clock_abandoned and camera_ns >= 0:
+            return [timing.time_by_arrival(frame)]
+        if camera_ns >= 0 and self._in_real_time:
             off_ns = math.inf if timing.last is None or not has_time else self._off_ns(frame, timing.last)
-            is_confirmed = has_time and (off_ns is None or timing.last is None)
-            if not is_confirmed:
-                final = self._hold_back(_DoubtfulFrame(frame, off_ns or 0.0, camera_ns))
-            elif self._waiting:
-                final = self._release_confirmed(frame)
-            else:
-                final = NumberedFrames([timing.learn(frame)])
-        if note is None:
-            return final
-        return final._replace(notes=(*final.notes, note), steps=(*step, *final.steps))
+            if off_ns is not None and (timing.last is not None or not has_time):
+                return self._hold_back(_DoubtfulFrame(frame, off_ns, camera_ns))
+            if self._waiting:
+                return self._release_confirmed(frame)
+        timing.learn(frame)
+        return [frame]
 
     @property
     def waiting(self) -> int:
         """Number of frames whose times are in doubt."""
         return len(self._waiting)
 
-    def _after_gap(self, frame: Frame, last: Frame) -> tuple[tuple[EventKind, str], list[RecordedClockStep]]:
-        """Set number and time of the first frame after a gap so that they follow those of the last before it.
-
-        Returns the note, and the step of the camera's clock, if there was one.
-        """
+    def _go_on_after_gap(self, frame: Frame, last: Frame) -> None:
+        """Let number and time of the first frame after a gap follow those of the last one before it."""
         self._before_gap = None
         passed_ns = by_host_ns = frame.host_time_ns - last.host_time_ns
-        step: list[RecordedClockStep] = []
         remark = ""
         if 0 <= frame.device_time_ns < NO_TIME_NS:
             by_device_ns = self._middle_ns(frame) - last.device_time_ns
@@ -172,7 +158,7 @@ class FrameLine:
             if differs or by_device_ns <= 0:
                 self._offset_ns = by_host_ns - by_device_ns
                 after_ns = last.device_time_ns + by_host_ns
-                step.append(RecordedClockStep(after_ns, -self._offset_ns, _U_BY_HOST_NS))
+                self.steps.append(RecordedClockStep(after_ns, -self._offset_ns, _U_BY_HOST_NS))
                 remark = f"; its clock restarted, {self._offset_ns} ns are added to its times"
             else:
                 passed_ns = by_device_ns
@@ -181,12 +167,12 @@ class FrameLine:
         self._number_offset = last.sequence + 1 + missing - frame.sequence
         self.missing += missing
         gap = f"{seconds(passed_ns):.3f} s without frames, about {missing} of them"
-        return (EventKind.CAMERA_BACK, f"opened again after {gap}{remark}"), step
+        self.events.append((EventKind.CAMERA_BACK, f"opened again after {gap}{remark}"))
 
     def _middle_ns(self, frame: Frame) -> int:
         return max(frame.device_time_ns + self._to_middle_ns, 0)
 
-    def _hold_back(self, doubtful: _DoubtfulFrame) -> NumberedFrames:
+    def _hold_back(self, doubtful: _DoubtfulFrame) -> list[Frame]:
         """Keep a frame whose time neither clock confirms, until the next frames explain it."""
         self._waiting.append(doubtful)
         last, allowed_ns = self._timing.last, self._timing.allowed_ns
@@ -194,9 +180,9 @@ class FrameLine:
         must_decide = len(self._waiting) >= _MAX_WAITING and (self._reader_keeps_up or self._is_full)
         if len(agreeing) >= _AGREEING_FRAMES and last is not None:
             step = self._agreed_step(agreeing, last, must_decide=must_decide)
-            return NumberedFrames([]) if step is None else self._release_after_step(last, *step)
+            return [] if step is None else self._release_after_step(last, *step)
         if not must_decide:
-            return NumberedFrames([])
+            return []
         step = None if last is None else self._step_by_arrivals(last)
         if last is None or step is None:
             return self._abandon_clock()
@@ -251,7 +237,7 @@ class FrameLine:
             early_ns = min(early_ns, abs(by_last_ns))
         return early_ns < min(timing.allowed_by_arrival_ns, 0.5 * abs(off_ns))
 
-    def _release_confirmed(self, frame: Frame) -> NumberedFrames:
+    def _release_confirmed(self, frame: Frame) -> list[Frame]:
         """Release the waiting frames after a frame whose time one of the clocks confirms.
 
         Usually the waiting times are wrong, and are left out. Those that rise to this frame's are kept, if
@@ -265,8 +251,9 @@ class FrameLine:
                 times_ns = [doubtful.frame.device_time_ns for doubtful in self._waiting]
                 sooner = {i for i, time_ns in enumerate(times_ns) if time_ns < frame.device_time_ns}
                 indices = [i for i in self._rising(timing.last, newest=[frame]).consistent if i in sooner]
-        frames, notes, _ = self._release_waiting(indices)
-        return NumberedFrames([*frames, timing.learn(frame)], notes)
+        frames = self._release_waiting(indices)
+        timing.learn(frame)
+        return [*frames, frame]
 
     def _rising(self, last: Frame, step_ns: int = 0, newest: Iterable[Frame] = ()) -> RisingTimes:
         frames = [*(doubtful.frame for doubtful in self._waiting), *newest]
@@ -328,39 +315,39 @@ class FrameLine:
             return None
         return step_ns, round(timing.scatter_ns) if step_ns else 0
 
-    def _release_after_step(self, last: Frame, step_ns: int, u_ns: int) -> NumberedFrames:
+    def _release_after_step(self, last: Frame, step_ns: int, u_ns: int) -> list[Frame]:
         """Release the waiting frames, which agree on a step of the clock, with the step subtracted."""
         rising = self._rising(last, step_ns)
         waiting, first = len(self._waiting), rising.first_after_step
         first = waiting if first is None else first
         first_number = self._waiting[min(first, waiting - 1)].frame.sequence
-        frames, notes, rejected = self._release_waiting(rising.consistent, first, step_ns)
         if not step_ns:
-            return NumberedFrames(frames, notes)
+            return self._release_waiting(rising.consistent, first)
+        frames = self._release_waiting(rising.consistent, first, step_ns)
         self._offset_ns -= step_ns
         is_wrap = step_ns < 0 and any(abs(step_ns - ns) < MAX_READING_DELAY_NS for ns in self._steps_ns)
         self._steps_ns.append(step_ns)
         later = [frame for frame, i in zip(frames, rising.consistent, strict=True) if i >= first]
         # a counter that began again (u is 0) is known exactly, and is not recorded as a step of the clock
-        steps = (RecordedClockStep(later[0].time_ns, step_ns, u_ns),) if later and u_ns else ()
+        if later and u_ns:
+            self.steps.append(RecordedClockStep(later[0].time_ns, step_ns, u_ns))
         self.wraps += is_wrap
-        if is_wrap and self.wraps > 1:
-            return NumberedFrames(frames, notes, steps)
-        text = f"the camera's counter begins again every {-seconds(step_ns):.4g} s; its times continue"
         if not is_wrap:
-            text = (
+            self._tell(
                 f"the camera's clock stepped by {seconds(step_ns):+.6g} s (u {seconds(max(u_ns, 1)):.1g} s) "
                 f"before frame {first_number}; its times continue without the step"
-                + (f", {_frames(rejected)} left out" if rejected else "")
             )
-        return NumberedFrames(frames, ((EventKind.CAMERA_CLOCK, text),), steps)
+        elif self.wraps == 1:
+            every_s = -seconds(step_ns)
+            self._tell(f"the camera's counter begins again every {every_s:.4g} s; its times continue")
+        return frames
 
-    def _abandon_clock(self) -> NumberedFrames:
+    def _abandon_clock(self) -> list[Frame]:
         """Abandon a clock whose times disagree: later times are the computer's, at the camera's rate."""
         self._clock_abandoned = True
-        waiting, notes = [doubtful.frame for doubtful in self._waiting], list[tuple[EventKind, str]]()
+        waiting = [doubtful.frame for doubtful in self._waiting]
         if (last := self._before_gap) is not None:
-            notes.append(self._after_gap(waiting[0], last)[0])
+            self._go_on_after_gap(waiting[0], last)
             waiting = [frame._replace(sequence=frame.sequence + self._number_offset) for frame in waiting]
             self._timing.delay_ns = float(last.host_time_ns - last.device_time_ns)
         elif math.isnan(self._timing.delay_ns):
@@ -368,39 +355,33 @@ class FrameLine:
         frames, camera_ns = list(map(self._timing.time_by_arrival, waiting)), self._waiting[0].camera_ns
         self._waiting.clear()
         u_ns = round(self._timing.scatter_ns)
-        text = (
+        self._tell(
             f"the camera's clock is abandoned from frame {waiting[0].sequence} on, where it shows "
             f"{camera_ns} ns: times are the computer's, u {seconds(u_ns):.1g} s; restart "
             "the camera before the next run"
         )
-        step = RecordedClockStep(frames[0].time_ns, 0, u_ns)
-        return NumberedFrames(frames, (*notes, (EventKind.CAMERA_CLOCK, text)), (step,))
+        self.steps.append(RecordedClockStep(frames[0].time_ns, 0, u_ns))
+        return frames
 
-    def _release_waiting(
-        self, indices: Collection[int], first: int = 0, step_ns: int = 0
-    ) -> tuple[list[Frame], tuple[tuple[EventKind, str], ...], int]:
-        """The waiting frames of these indices, from `first` on without the step; and of the others, which are
-        left out, notes and their number.
-        """
+    def _release_waiting(self, indices: Collection[int], first: int = 0, step_ns: int = 0) -> list[Frame]:
+        """The waiting frames of these indices, from `first` on without the step; the others are left out."""
         frames, rejected, indices = [], [], set(indices)
         for i, doubtful in enumerate(self._waiting):
             if i not in indices:
                 rejected.append(doubtful)
                 continue
             time_ns = doubtful.frame.device_time_ns - (step_ns if i >= first else 0)
-            frames.append(self._timing.learn(doubtful.frame._replace(device_time_ns=time_ns)))
+            frames.append(doubtful.frame._replace(device_time_ns=time_ns))
+            self._timing.learn(frames[-1])
         self._waiting.clear()
         self.rejected += len(rejected)
-        if not rejected:
-            return frames, (), 0
-        frame, off_ns, camera_ns = rejected[0]
-        off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
-        text = (
-            f"{_frames(len(rejected))} left out from frame {frame.sequence} on: the camera's time "
-            f"{camera_ns} ns is {off}"
-        )
-        return frames, ((EventKind.CAMERA_CLOCK, text),), len(rejected)
+        if rejected:
+            frame, off_ns, camera_ns = rejected[0]
+            off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
+            count = "1 frame" if len(rejected) == 1 else f"{len(rejected)} frames"
+            from_frame = f"{count} left out from frame {frame.sequence} on"
+            self._tell(f"{from_frame}: the camera's time {camera_ns} ns is {off}")
+        return frames
 
-
-def _frames(count: int) -> str:
-    return "1 frame" if count == 1 else f"{count} frames"
+    def _tell(self, text: str) -> None:
+        self.events.append((EventKind.CAMERA_CLOCK, text))

@@ -174,6 +174,11 @@ class MessageType:
             fields += [(f"tag {name}", f"V{tag_bytes}"), (name, _NUMPY[kind])]
         return np.dtype(fields)
 
+    @cached_property
+    def encoded_zeros(self) -> NDArray[Any]:
+        """An encoded message of numbers alone, all of them 0, as an array (1,) of `wire_dtype`."""
+        return np.frombuffer(self.encode(*[0] * len(self.fields)), self.wire_dtype)
+
     def encode(self, *values: Any) -> bytes:
         """Encode a message from the values of its fields in order."""
         # protobuf takes no truth value for a whole number

@@ -82,7 +82,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
     """For each band and column, find the highest of the minima of four pixels one above the other.
 
     The minimum rejects hot pixels, whose neighbours are dark, and keeps a spot, which covers at least four
-    rows. The results are written into `bands`.
+    rows. The image has at least five, as `SearchMemory` demands. The results are written into `bands`.
     """
     ny, nx = image.shape
     pixels = image.reshape(ny * nx)
@@ -102,7 +102,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
                     if row >= ny:
                         continue
                     # if the number of rows is no multiple of four, the last group overlaps the one before
-                    top = max(0, min(row, ny - 4))
+                    top = min(row, ny - 4)
                     # the processor itself does not recognise four rows read in parallel as a stream
                     ahead = (top + 4) * nx + 4 * x
                     for index in range(ahead, ahead + 4 * block, line_pixels):

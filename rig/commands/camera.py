@@ -86,9 +86,10 @@ def snap(
       rig camera snap mine.toml -o spot.png --average 10
     """
     from acquisition import atomic_write
+    from acquisition.camera import Frame
     from processing.errors import RecordError
     from rig.devices import picture, take_look
-    from rig.instrument import complete, optics_of
+    from rig.instrument import Pipeline, complete, optics_of
     from rig.terminal import answer, print_line
 
     complete_config = complete(configuration_of(config, set_))
@@ -102,8 +103,9 @@ def snap(
             atomic_write.write_new(output, picture.png_of(image, output))
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-        trackers = optics_of(complete_config, full_scale_dn).dual_tracker()
-        look = take_look(image, full_scale_dn, trackers, None, opened.applied, complete_config.preflight)
+        pipeline = Pipeline(optics_of(complete_config, full_scale_dn), image.shape)
+        frame = Frame(image, 0, 0, 0)
+        look = take_look(frame, full_scale_dn, pipeline, None, opened.applied, complete_config.preflight)
         for name, text in look.rows():
             print_line(f"{name:<20}{text}")
         if look.reference is not None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from processing.errors import ConfigurationError, MissingPackage
+from processing.errors import ConfigurationError, optional_module
 from rig.commands.archive import DEFAULT_ARCHIVE, Archive
 from rig.commands.arguments import (
     MODES,
@@ -93,12 +93,9 @@ def desk(
     Example:
       rig desk mine.toml
     """
-    try:
-        from rig.desk import open_desk
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
-            raise
-        raise MissingPackage("rig desk", "nicegui", "desk") from None
+    optional_module("nicegui", "rig desk", "nicegui", "desk")
+    from rig.desk import open_desk
+
     raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
 
 

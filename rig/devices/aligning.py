@@ -18,7 +18,7 @@ from rig.devices.alignment_look import AlignmentFrame, take_look
 from rig.devices.order_socket import Orders, SessionNews, light_shown_to_desk
 from rig.devices.picture import find_exposure
 from rig.devices.session_devices import Devices, OpenCamera
-from rig.instrument import Optics, optics_of, prepare_kernels
+from rig.instrument import Optics, Pipeline, optics_of, prepare_kernels
 from rig.settings import Configuration
 from rig.terminal import answer, say
 
@@ -138,7 +138,8 @@ class LivePicture:
         devices, full_scale_dn = self._devices, self._opened.info.full_scale_dn
         self.news.begin_run("live picture", full_scale_dn, self._applied)
         self._publish_state()
-        trackers, limits = optics.dual_tracker(), self._config.preflight
+        pipeline: Pipeline | None = None
+        limits = self._config.preflight
         with closing(devices.stream(self._config, self._opened._replace(applied=self._applied))) as stream:
             stream.start_camera()
             stream.begin()
@@ -147,10 +148,11 @@ class LivePicture:
                     if stream.drained:
                         raise stream.failure or DeviceError("the camera has delivered its last frame")
                     continue
-                image, reference_px = frames[-1].image, self._config.lever_reference_px
-                look = take_look(image, full_scale_dn, trackers, reference_px, self._applied, limits)
+                pipeline = pipeline or Pipeline(optics, frames[-1].image.shape)
+                reference_px = self._config.lever_reference_px
+                look = take_look(frames[-1], full_scale_dn, pipeline, reference_px, self._applied, limits)
                 reference = None if look.reference is None else look.reference.spot
-                self.news.show(image, look.spot, reference, look.beam)
+                self.news.show(look.image, look.spot, reference, look.beam)
                 self.note = "; ".join(text for _, text in stream.take_events()) or self.note
                 watch.look()
                 self._keep_lit_while_watched()

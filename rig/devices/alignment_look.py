@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings, Image
+from acquisition.camera import CameraSettings, Frame, Image
 from processing.spot import Spot, SpotFlag
 from rig.devices import picture
 from rig.devices.picture import PictureFigures
-from rig.instrument import DualSpotTracker, beam_quality
+from rig.instrument import Pipeline, beam_quality
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, decimals, palette
 
@@ -204,9 +204,9 @@ def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tupl
 
 
 def take_look(
-    image: Image,
+    frame: Frame,
     full_scale_dn: int,
-    trackers: DualSpotTracker,
+    pipeline: Pipeline,
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
     limits: PreflightSettings,
@@ -215,12 +215,12 @@ def take_look(
 
     Figures and beam are those of the pendulum's part of the frame.
     """
-    (spot,), references = trackers.track([image])
-    first_row = trackers.reference_row
-    pendulum_image, reference = image[:first_row], None
-    if first_row is not None and references:
-        reference = ReferenceSpot.in_image(references[0], first_row, image, full_scale_dn)
-    beam = beam_quality([pendulum_image], [spot], trackers.tracker.model, full_scale_dn, limits)
+    block, image = pipeline.process([frame], estimated=False), frame.image
+    first_row = pipeline.reference_row
+    pendulum_image, spot, reference = image[:first_row], block.spots[0], None
+    if first_row is not None and block.references:
+        reference = ReferenceSpot.in_image(block.references[0], first_row, image, full_scale_dn)
+    beam = beam_quality([pendulum_image], [spot], pipeline.tracker.model, full_scale_dn, limits)
     figures = picture.figures(pendulum_image, full_scale_dn)
     if beam.ok and figures.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged

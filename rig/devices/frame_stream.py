@@ -5,7 +5,6 @@ import math
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
@@ -110,11 +109,11 @@ class FrameStream:
         self._thread: threading.Thread | None = None
         self._has_begun = threading.Event()
         self._first_frame: Frame | None = None
-        self._events: deque[tuple[EventKind, str]] = deque()
+        self._events = self._line.events
         self._sleep_watch = SleepWatch()
-        self._steps: deque[RecordedClockStep] = deque()
         self._earlier_losses = self._last_losses = FrameLosses()
         self._losses_due_ns = 0
+        self._silent_s, self._was_reopened = 0.0, False
         self._read_monitor = ReadMonitor(timeout_s)
         self.end_reason = ""
         """The reason why the stream ended; empty before."""
@@ -167,7 +166,7 @@ class FrameStream:
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are subtracted from the frames' times."""
-        return take_all(self._steps)
+        return take_all(self._line.steps)
 
     def request_stop(self) -> None:
         """End the stream; may be called from any thread."""
@@ -221,59 +220,31 @@ class FrameStream:
             self._fail(error, hangs)
             raise error
 
-    def _read(self) -> Frame | None:
-        """The camera's next frame, after a reconnection if necessary; None at the end."""
-        silent_s, was_reopened = 0.0, False
-        has_begun = self._has_begun.is_set()
-        while not self._stop.is_set():
-            # a source on demand may be slow; silence of a free-running camera is reported early
-            on_demand = self.policy == "wait"
-            patience_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
-            patience_s = min(patience_s if has_begun else _FIRST_FRAME_TIMEOUT_S, self._timeout_s - silent_s)
-            self._read_monitor.enter()
-            try:
-                frame = self._camera.read(patience_s)
-            except (FrameTimeout, CameraLost) as lost:
-                if isinstance(lost, FrameTimeout):
-                    lost = self._with_reasons(lost)
-                    if has_begun and silent_s == 0.0 and patience_s < self._timeout_s:
-                        self._events.append((EventKind.CAMERA_SILENT, str(lost)))
-                    silent_s += patience_s
-                    if silent_s < self._timeout_s - 1e-6:
-                        continue
-                # drivers notice an unplugged cable late or never, so a silent camera is opened again; if it
-                # then stays silent, it was connected all the time
-                if not has_begun or (isinstance(lost, FrameTimeout) and (on_demand or was_reopened)):
-                    raise lost from None
-                was_reopened = was_reopened or isinstance(lost, FrameTimeout)
-                self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                self._read_monitor.leave()
-                self._reconnect(lost)
-                self._line.restart()
-                silent_s = 0.0
-                continue
-            if frame is None:
-                self.end_reason = self.end_reason or "the camera delivered its last frame"
-            elif not on_demand:
-                self._sleep_watch.raise_if_slept()
-            if silent_s and has_begun and frame is not None:
-                text = f"after more than {silent_s:.2f} s of silence"
-                self._events.append((EventKind.CAMERA_SPEAKS, text))
-            return frame
-        return None
-
     def _acquire(self) -> None:
-        """Read, check, number, and hand over."""
+        """Read, number, and hand over the camera's frames until its end, also where it was opened again."""
         try:
-            while (frame := self._read()) is not None:
-                batch = self._line.take(frame)
+            while not self._stop.is_set():
+                self._read_monitor.enter()
+                try:
+                    frame = self._camera.read(self._patience_s)
+                except (FrameTimeout, CameraLost) as lost:
+                    self._wait_or_reconnect(lost)
+                    continue
+                if frame is None:
+                    self.end_reason = self.end_reason or "the camera delivered its last frame"
+                    return
+                if self.policy != "wait":
+                    self._sleep_watch.raise_if_slept()
+                if self._silent_s and self._has_begun.is_set():
+                    text = f"after more than {self._silent_s:.2f} s of silence"
+                    self._events.append((EventKind.CAMERA_SPEAKS, text))
+                self._silent_s, self._was_reopened = 0.0, False
+                numbered_frames = self._line.take(frame)
                 self.permit.frame_read(frame.image)
                 if frame.host_time_ns >= self._losses_due_ns:
                     self._losses_due_ns = int(frame.host_time_ns) + _LOSSES_INTERVAL_NS
                     self._last_losses = self._all_losses()
-                self._events.extend(batch.notes)
-                self._steps.extend(batch.steps)
-                for numbered_frame in batch.frames:
+                for numbered_frame in numbered_frames:
                     self._first_frame = self._first_frame or numbered_frame
                     self._queue.put(numbered_frame)
                     self._has_begun.set()
@@ -287,6 +258,38 @@ class FrameStream:
         finally:
             self._queue.close()
             self._has_begun.set()
+
+    @property
+    def _patience_s(self) -> float:
+        """Timeout of the next read: silence of a free-running camera is reported early."""
+        # a source on demand may be slow
+        on_demand = self.policy == "wait"
+        usual_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
+        usual_s = usual_s if self._has_begun.is_set() else _FIRST_FRAME_TIMEOUT_S
+        return min(usual_s, self._timeout_s - self._silent_s)
+
+    def _wait_or_reconnect(self, lost: FrameTimeout | CameraLost) -> None:
+        """Take account of a read without a frame; raises the error where no more frames can come."""
+        has_begun = self._has_begun.is_set()
+        if isinstance(lost, FrameTimeout):
+            patience_s = self._patience_s
+            lost = self._with_reasons(lost)
+            if has_begun and self._silent_s == 0.0 and patience_s < self._timeout_s:
+                self._events.append((EventKind.CAMERA_SILENT, str(lost)))
+            self._silent_s += patience_s
+            if self._silent_s < self._timeout_s - 1e-6:
+                return
+        # drivers notice an unplugged cable late or never, so a silent camera is opened again; if it then
+        # stays silent, it was connected all the time
+        is_timeout = isinstance(lost, FrameTimeout)
+        if not has_begun or (is_timeout and (self.policy == "wait" or self._was_reopened)):
+            raise lost from None
+        self._was_reopened = self._was_reopened or is_timeout
+        self._events.append((EventKind.CAMERA_LOST, str(lost)))
+        self._read_monitor.leave()
+        self._reconnect(lost)
+        self._line.restart()
+        self._silent_s = 0.0
 
     def _with_reasons(self, timeout: FrameTimeout) -> FrameTimeout:
         """The timeout, with the number of unusable frames that came: then the trigger is not at fault."""

@@ -36,7 +36,6 @@ from rig.instrument.configured_camera import (
 from rig.instrument.pipeline import (
     Block,
     DeflectionConverter,
-    DualSpotTracker,
     Optics,
     Pipeline,
     optics_of,

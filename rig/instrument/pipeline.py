@@ -9,8 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import Frame, Image
-from acquisition.record.writer import RecordWriter
+from acquisition.camera import Frame
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -79,58 +78,19 @@ class Block(NamedTuple):
 
     spots: list[Spot]
     deflections: Deflections
-    half_cycles: list[HalfCycle]
+    half_cycles: Sequence[HalfCycle] = ()
     """Half-cycles that this block completes; they may have begun in earlier blocks."""
-    balances: list[Balance]
+    balances: Sequence[Balance] = ()
     """Balances that this block completes."""
     references: Sequence[Spot] = ()
     """Spots of the reference, if there is one."""
-
-    def write(
-        self,
-        writer: RecordWriter,
-        numbers: Sequence[int],
-        device_times_ns: Sequence[int],
-        host_times_ns: Sequence[int],
-    ) -> None:
-        """Write the results of frames of these numbers and times into a record."""
-        if numbers:
-            clocks = device_times_ns, host_times_ns
-            writer.write_spots(numbers, *clocks, self.spots, self.deflections, self.references)
-        for half_cycle in self.half_cycles:
-            writer.write_half_cycle(half_cycle)
-        for balance in self.balances:
-            writer.write_balance(balance)
-
-
-class DualSpotTracker:
-    """Trackers of the pendulum's spot and of the reference spot, each in its own part of the frames.
-
-    The rows from `reference_row` on are those of the reference; None without one.
-    """
-
-    def __init__(self, sensor: SensorModel, reference_row: int | None = None) -> None:
-        self.tracker, self._reference_tracker = SpotTracker(sensor), SpotTracker(sensor)
-        self.reference_row = reference_row
-
-    def track(self, images: Sequence[Image]) -> tuple[list[Spot], list[Spot]]:
-        """The pendulum's spots in consecutive frames, and the reference spots, empty without a reference."""
-        row = self.reference_row
-        spots = [self.tracker.track(image[:row]) for image in images]
-        if row is None or row >= len(images[0]):
-            return spots, []
-        references = [self._reference_tracker.track(image[row:]) for image in images]
-        return spots, [spot._replace(y_px=spot.y_px + row) for spot in references]
-
-    def pendulum_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
-        return shape if self.reference_row is None else (min(shape[0], self.reference_row), shape[1])
 
 
 class Pipeline:
     """Tracks the spot, computes deflections and detects half-cycles, frame by frame.
 
-    The result depends only on the frames and their timestamps, not on their division into blocks.
+    The result depends only on the frames and their timestamps, not on their division into blocks. The
+    pendulum's spot and the reference spot are tracked apart, each in its own part of the frames.
 
     Parameters
     ----------
@@ -153,33 +113,29 @@ class Pipeline:
         threaded: bool = False,
         guard: ObserverGuard | None = None,
     ) -> None:
-        self.spots = optics.dual_tracker()
-        self.tracker = self.spots.tracker
-        self._deflector = optics.deflector(sensor_shape)
+        self.tracker, self._reference_tracker = SpotTracker(optics.sensor), SpotTracker(optics.sensor)
+        self.reference_row = optics.reference_row
+        self.deflector = optics.deflector(sensor_shape)
         self._detector = TurningPointDetector()
         self._estimator = BalanceEstimator()
         self._guard = guard or ObserverGuard()
         self._thread = EstimateThread(self._estimates) if threaded else None
+        self.estimate = self._estimates if self._thread is None else self._thread.update
+        """Half-cycles and balances that further deflections complete."""
 
-    def process(self, frames: Sequence[Frame]) -> Block:
-        """Track the spot in some consecutive frames, and continue with `detect`."""
-        block = self.look(frames)
-        return self.detect(block.spots, block.deflections)._replace(references=block.references)
-
-    def look(self, frames: Sequence[Frame]) -> Block:
-        """Spots and deflections of some consecutive frames, without half-cycles and balances."""
+    def process(self, frames: Sequence[Frame], *, estimated: bool = True) -> Block:
+        """Results of some consecutive frames; half-cycles and balances only if `estimated`."""
+        row = self.reference_row
         times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        spots, references = self.spots.track([frame.image for frame in frames])
-        return Block(spots, self._deflector(times_ns, spots), [], [], references)
-
-    def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
-        """Deflections, half-cycles and balances from spots of frames at these times."""
-        return self.detect(spots, self._deflector(times_ns, spots))
-
-    def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
-        """Half-cycles and balances from known deflections (replay without tracking)."""
-        estimate = self._estimates if self._thread is None else self._thread.update
-        return Block(spots, deflections, *estimate(deflections))
+        spots = [self.tracker.track(frame.image[:row]) for frame in frames]
+        references: list[Spot] = []
+        if row is not None and row < len(frames[0].image):
+            track = self._reference_tracker.track
+            below = [track(frame.image[row:]) for frame in frames]
+            references = [spot._replace(y_px=spot.y_px + row) for spot in below]
+        deflections = self.deflector(times_ns, spots)
+        half_cycles, balances = self.estimate(deflections) if estimated else ([], [])
+        return Block(spots, deflections, half_cycles, balances, references)
 
     def _estimates(self, samples: Deflections) -> Estimates:
         half_cycles = self._detector.update(samples.times_ns, samples.y, samples.u_y)
@@ -239,10 +195,6 @@ class Optics:
     axes: Axes
     shutter: Shutter = GLOBAL
     reference_row: int | None = None
-
-    def dual_tracker(self) -> DualSpotTracker:
-        """New trackers of the pendulum's spot and the reference spot."""
-        return DualSpotTracker(self.sensor, self.reference_row)
 
     def deflector(self, sensor_shape: tuple[int, int]) -> DeflectionConverter:
         """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""

@@ -54,7 +54,7 @@ class RecentFrames:
             return not self._stream.drained
         if self._pipeline is None:
             self._pipeline = Pipeline(self._optics, (frames[0].image.shape[0], frames[0].image.shape[1]))
-        block = self._pipeline.look(frames)
+        block = self._pipeline.process(frames, estimated=False)
         self._blocks.append(block)
         times_ns = block.deflections.times_ns
         found_ns = times_ns[block.deflections.found]

@@ -125,60 +125,69 @@ class Recorder:
         try:
             while not self.entries.drained:
                 self._permit.note_progress(Stage.RECORDER)
-                # an empty entry is written, too, because a flush of earlier entries may be due
-                (entry,) = self.entries.take(1, _IDLE_S) or [RecordEntry()]
-                if self.error is None:
-                    with self._keeping_error():
-                        self._write(entry)
-                if entry.is_flushed is not None:
-                    entry.is_flushed.set()
-            with self._keeping_error():
+                self._write_next()
+            with self._writing():
                 self._writer.close()
         finally:
             self._permit.note_end(Stage.RECORDER)
 
     @contextlib.contextmanager
-    def _keeping_error(self) -> Iterator[None]:
+    def _writing(self) -> Iterator[None]:
+        """Keep the first error of a write, and its duration if it is long."""
+        began_s = self._write_began_s = time.monotonic()
         try:
             yield
         except Exception as error:
             if self.error is None:
                 self.error = error
                 _log.error("the record cannot be written: %s", error)
-
-    def _write(self, entry: RecordEntry) -> None:
-        """Write an entry, and flush the file if that is due."""
-        began_s = self._write_began_s = time.monotonic()
-        writer, block = self._writer, entry.block
-        try:
-            if block is not None:
-                numbers, times_ns = entry.sequences, block.deflections.times_ns.tolist()
-                block.write(writer, numbers, entry.device_times_ns, entry.host_times_ns)
-                for number, time_ns, window, spot in zip(
-                    numbers, times_ns, entry.windows, block.spots, strict=True
-                ):
-                    if window is not None:
-                        writer.write_window(number, time_ns, *window, spot)
-            for frame in entry.images:
-                writer.write_image(frame)
-            if entry.preview is not None:
-                writer.write_preview(entry.preview)
-            for message in entry.messages:
-                writer.write(message)
-            for name, data in entry.attachments.items():
-                writer.attach(name, data)
-            for event in entry.events:
-                writer.write_event(*event)
-            writer.flush_if_due()
-            if entry.is_flushed is not None:
-                writer.flush()
-            # read in this thread, because a disk that hangs does not answer this question either
-            if began_s - self._free_space_read_s > _FREE_SPACE_INTERVAL_S:
-                self._free_space_read_s = began_s
-                with contextlib.suppress(OSError):
-                    self.disk_free_bytes = shutil.disk_usage(writer.path.parent).free
         finally:
             self._write_began_s = math.inf
             write_s = time.monotonic() - began_s
             if write_s > MAX_WRITE_S:
                 self._pauses_s.append(write_s)
+
+    def _write_next(self) -> None:
+        """Write the next entry, or discard it after an error; flush the file if that is due."""
+        # an empty entry is written, too, because a flush of earlier entries may be due
+        (entry,) = self.entries.take(1, _IDLE_S) or [RecordEntry()]
+        if self.error is None:
+            with self._writing():
+                writer, block = self._writer, entry.block
+                if block is not None:
+                    numbers, deflections = entry.sequences, block.deflections
+                    clocks = entry.device_times_ns, entry.host_times_ns
+                    writer.write_spots(numbers, *clocks, block.spots, deflections, block.references)
+                    for half_cycle in block.half_cycles:
+                        writer.write_half_cycle(half_cycle)
+                    for balance in block.balances:
+                        writer.write_balance(balance)
+                    times_ns = deflections.times_ns.tolist()
+                    windows = zip(numbers, times_ns, entry.windows, block.spots, strict=True)
+                    for number, time_ns, window, spot in windows:
+                        if window is not None:
+                            writer.write_window(number, time_ns, *window, spot)
+                for frame in entry.images:
+                    writer.write_image(frame)
+                if entry.preview is not None:
+                    writer.write_preview(entry.preview)
+                for message in entry.messages:
+                    writer.write(message)
+                for name, data in entry.attachments.items():
+                    writer.attach(name, data)
+                for event in entry.events:
+                    writer.write_event(*event)
+                writer.flush_if_due()
+                if entry.is_flushed is not None:
+                    writer.flush()
+                self._read_free_space()
+        if entry.is_flushed is not None:
+            entry.is_flushed.set()
+
+    def _read_free_space(self) -> None:
+        """Read, at intervals, how much disk is free: in this thread, because a disk may hang at it, too."""
+        now_s = time.monotonic()
+        if now_s - self._free_space_read_s > _FREE_SPACE_INTERVAL_S:
+            self._free_space_read_s = now_s
+            with contextlib.suppress(OSError):
+                self.disk_free_bytes = shutil.disk_usage(self._writer.path.parent).free

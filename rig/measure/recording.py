@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
@@ -17,6 +15,7 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
+from processing.deflections import no_deflections
 from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
@@ -148,6 +147,7 @@ class Recording:
         self._stop, self._status, self._guard = run.stop, run.status, run.guard
         self._recorder, self._judge = recorder, judge
         self._first = self._last = first
+        self._waiting: list[Frame] = []
         # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
         self._on_demand = run.stream.policy == "wait"
         settings = run.plan.config.record
@@ -167,8 +167,9 @@ class Recording:
         is recorded as an event.
         """
         try:
+            self._waiting = frames
             self._begin(events)
-            rejection = self._take_all(frames)
+            rejection = self._take_all()
             self._close(rejection)
         except Exception as error:
             last_ns = self._counts.last_ns
@@ -186,25 +187,12 @@ class Recording:
         start = Event(self._first.time_ns, EventKind.START, "first frame")
         self._record(RecordEntry(events=[*earlier, start]))
 
-    def _take_all(self, waiting: list[Frame]) -> str:
-        """Take the `waiting` frames, then those of the stream; returns why the start was rejected, or ''."""
+    def _take_all(self) -> str:
+        """Take the waiting frames, then those of the stream; returns why the start was rejected, or ''."""
         stream = self._stream
         # all frames from a source on demand are processed, frames of a live camera only until the stop
-        while waiting or not (stream.drained or (self._stop and not self._on_demand)):
-            frames = waiting or stream.take(_BLOCK_FRAMES, _TAKE_WITHIN_S)
-            # blocks on demand are full, so that a run ends at the same frame however frames arrive
-            while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
-                frames += stream.take(_BLOCK_FRAMES - len(frames), _TAKE_WITHIN_S)
-            taken_ns = time.monotonic_ns()
-            end_ns = frames[0].time_ns + _MAX_BLOCK_NS if frames else 0
-            late = (k for k, frame in enumerate(frames) if frame.time_ns > end_ns)
-            count = min(_BLOCK_FRAMES, next(late, len(frames)))
-            block_frames, waiting = frames[:count], frames[count:]
-            block = None
-            if block_frames:
-                block = self._take(block_frames, taken_ns)
-            else:
-                self._take_nothing()
+        while self._waiting or not (stream.drained or (self._stop and not self._on_demand)):
+            block = self._take()
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
@@ -229,9 +217,20 @@ class Recording:
         messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
         self._record(RecordEntry(events=self._device_events(), messages=messages))
 
-    def _take(self, frames: list[Frame], taken_ns: int) -> Block:
-        """Process frames that were taken at `taken_ns` and record them."""
-        counts, run = self._counts, self._run
+    def _take(self) -> Block | None:
+        """Take some frames, process and record them; None if there were none in time."""
+        counts, run, stream = self._counts, self._run, self._stream
+        frames = self._waiting or stream.take(_BLOCK_FRAMES, _TAKE_WITHIN_S)
+        # blocks on demand are full, so that a run ends at the same frame however frames arrive
+        while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
+            frames += stream.take(_BLOCK_FRAMES - len(frames), _TAKE_WITHIN_S)
+        if not frames:
+            self._take_nothing()
+            return None
+        taken_ns, end_ns = time.monotonic_ns(), frames[0].time_ns + _MAX_BLOCK_NS
+        late = (k for k, frame in enumerate(frames) if frame.time_ns > end_ns)
+        count = min(_BLOCK_FRAMES, next(late, len(frames)))
+        frames, self._waiting = frames[:count], frames[count:]
         block = self._pipeline.process(frames)
         self._half_cycles += len(block.half_cycles)
         entry = counts.record_entry(frames, block, self._pipeline)
@@ -242,7 +241,7 @@ class Recording:
         entry.messages = [*messages, *self._notes()]
         self._record(entry)
         if run.posterior is not None:
-            callbacks = self._recorder.flush, self._stream.note_deliberate_wait
+            callbacks = self._recorder.flush, stream.note_deliberate_wait
             self._guard.call(_LIVE_FIT, None, run.posterior.take, block.half_cycles, *callbacks)
         is_due = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
         if block.half_cycles or self._on_demand or is_due:
@@ -257,7 +256,6 @@ class Recording:
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
         counts, (half_cycles, balances) = self._counts, self._pipeline.finish()
-        no_frames = self._pipeline.measure(np.empty(0, np.int64), [])
         attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
@@ -273,7 +271,7 @@ class Recording:
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         self._record(
             RecordEntry(
-                block=no_frames._replace(half_cycles=half_cycles, balances=balances),
+                block=Block([], no_deflections(self._run.optics.unit), half_cycles, balances),
                 events=[*self._device_events(), *early, end],
                 messages=[losses, *self._state(Phase.CLOSING, math.nan), *self._notes()],
                 attachments=attachments,

@@ -86,7 +86,7 @@ class BalanceView:
             text = f"restarted at {seconds(self._shown_ns):.1f} s"
             nan = np.full(1, math.nan)
             lost = Deflections(np.array([self._shown_ns]), nan, nan, nan, nan, config.deflection_unit)
-            self._write(Block([LOST_SPOT], lost, [], []), [Event(self._shown_ns, EventKind.START, text)])
+            self._write(Block([LOST_SPOT], lost), [Event(self._shown_ns, EventKind.START, text)])
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
@@ -117,7 +117,11 @@ class BalanceView:
                 times_ns = block.deflections.times_ns.tolist()
                 numbers = range(self._frames, self._frames + len(times_ns))
                 self._frames += len(times_ns)
-                block.write(writer, numbers, times_ns, times_ns)
+                writer.write_spots(numbers, times_ns, times_ns, block.spots, block.deflections)
+                for half_cycle in block.half_cycles:
+                    writer.write_half_cycle(half_cycle)
+                for balance in block.balances:
+                    writer.write_balance(balance)
             if frame is not None and frame.time_ns >= self._picture_due_ns:
                 self._picture_due_ns = frame.time_ns + _PICTURE_INTERVAL_NS
                 writer.write_preview(frame._replace(sequence=self._frames - 1))

@@ -110,12 +110,16 @@ class Replay:
             # time of the frame
             has_clock = rows["device_time_ns"] >= 0
             frame_times_ns = np.where(has_clock, rows["device_time_ns"], rows["host_time_ns"])
-            return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
-        return self._pipeline.detect(spots, self._reader.deflections(rows))
+            deflections = self._pipeline.deflector(frame_times_ns.astype(np.int64), spots)
+        else:
+            deflections = self._reader.deflections(rows)
+        return Block(spots, deflections, *self._pipeline.estimate(deflections))
 
     def _track_again(self, rows: NDArray[Any], windows: Iterator[RecordedWindow]) -> list[Spot]:
         """Track the spots again; windows and rows are both in the order of the frames."""
-        tracker, shape = self._pipeline.tracker, self._pipeline.spots.pendulum_shape(self._shape)
+        tracker, (ny, nx) = self._pipeline.tracker, self._shape
+        # the rows below are the reference's
+        shape = min(ny, self._pipeline.reference_row or ny), nx
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():
             # skip windows whose spots were in a damaged chunk

@@ -15,10 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 from acquisition.camera import CameraSettings
+from acquisition.record.writer import RecordWriter
 from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
@@ -28,7 +30,7 @@ from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
 from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
-from rig.measure.recorder import RecordEntry, Recorder
+from rig.measure.recorder import Recorder
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.measure.run_status import Watcher
@@ -102,14 +104,22 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
     frames = drawn_frames(case.width, case.height, rate_hz, round(min(2.0 * rate_hz, 600)))
     latencies_ms: list[float] = []
     begin_ms: list[float] = []
-    original = Recorder._write
+    written: list[tuple[int, int]] = []
+    write_spots, write_next = RecordWriter.write_spots, Recorder._write_next
 
-    def timed(recorder: Recorder, entry: RecordEntry) -> None:
-        original(recorder, entry)
+    def noted(
+        writer: RecordWriter, numbers: Sequence[int], device_times_ns: Sequence[int], *rest: Any
+    ) -> None:
+        write_spots(writer, numbers, device_times_ns, *rest)
+        written.extend(zip(numbers, device_times_ns, strict=True))
+
+    def timed(recorder: Recorder) -> None:
+        write_next(recorder)
         now_ns = time.monotonic_ns()
-        for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):
+        for number, due_ns in written:
             into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
             into.append((now_ns - due_ns) * 1e-6)
+        written.clear()
 
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -140,14 +150,12 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
             devices=Devices(config),
             watchers=company.watchers,
         )
-        Recorder._write = timed  # type: ignore[assignment, method-assign]
+        stack.enter_context(patch.object(RecordWriter, "write_spots", noted))
+        stack.enter_context(patch.object(Recorder, "_write_next", timed))
         before = resource.getrusage(resource.RUSAGE_SELF)
         began_s = time.monotonic()
-        try:
-            with ready_for_frames(live=True):
-                outcome = run.execute(company.show)
-        finally:
-            Recorder._write = original  # type: ignore[method-assign]
+        with ready_for_frames(live=True):
+            outcome = run.execute(company.show)
         elapsed_s = time.monotonic() - began_s
         if outcome.failure is not None:
             raise outcome.failure

@@ -216,11 +216,7 @@ class BufferReader:
             )
         x_padding, _ = buffer.get_image_padding()
         expected = self.expected
-        if not expected.can_strip_padding(x_padding):
-            raise DeviceError(
-                f"{self.name}: pads rows of {expected.width_px} px in {expected.format.name}; set a "
-                "width that is a multiple of 4, or another pixel format"
-            )
+        expected.refuse_padding(self.name, x_padding)
         data = buffer.get_data()
         if len(data) < expected.image_bytes(x_padding):
             self.numbers.lost_parts += 1

@@ -18,7 +18,7 @@ from acquisition.camera import CameraLost, FeatureValue, PixelFormat
 from acquisition.cameras.genicam import GenicamFeatures
 from acquisition.cameras.genicam_access import Aliases
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
-from processing.errors import DeviceError, MissingPackage
+from processing.errors import DeviceError, optional_module
 
 ACCESS: Final = (
     "not implemented",
@@ -56,11 +56,7 @@ class FeatureReading:
 
 def load_genapi() -> Any:
     """The module of EMVA's GenApi. Raises MissingPackage if it is not installed."""
-    try:
-        from genicam import genapi
-    except ImportError:
-        raise MissingPackage("camera.driver = 'usb3vision'", "genicam", "usb3vision") from None
-    return genapi
+    return optional_module("genicam.genapi", "camera.driver = 'usb3vision'", "genicam", "usb3vision")
 
 
 class NodeMap(GenicamFeatures):
@@ -282,48 +278,29 @@ _ENTRY_STRIDE: Final = 64
 _MAX_ENTRIES: Final = 64
 _MAX_FILE_BYTES: Final = 64 << 20
 """A larger description means a damaged manifest; real ones are below 1 MB, zipped below 100 kB."""
-_PLAIN: Final = 0
-_ZIPPED: Final = 1
-
-
-@dataclass(frozen=True, slots=True)
-class ManifestEntry:
-    """Version, packing (plain or zipped), address and size in bytes of one description in the camera."""
-
-    version: tuple[int, int, int]
-    packing: int
-    address: int
-    size: int
-
-
-def read_manifest(channel: GenCpChannel, address: int, name: str) -> tuple[ManifestEntry, ...]:
-    """All descriptions in the camera, in the order of its manifest; DeviceError if the number is invalid."""
-    (count,) = _COUNT.unpack(channel.read(address, _COUNT.size))
-    if not 0 < count <= _MAX_ENTRIES:
-        raise DeviceError(f"{name}: its manifest lists {count} descriptions, 1 to {_MAX_ENTRIES} are valid")
-    entries = []
-    for index in range(count):
-        raw = channel.read(address + _COUNT.size + index * _ENTRY_STRIDE, _ENTRY.size)
-        subminor, minor, major, schema, file_address, size = _ENTRY.unpack(raw)
-        entries.append(ManifestEntry((major, minor, subminor), (schema >> 10) & 31, file_address, size))
-    return tuple(entries)
+_PLAIN_OR_ZIPPED: Final = (0, 1)
 
 
 def read_description(channel: GenCpChannel, address: int, name: str) -> str:
-    """The newest description in the camera, as text that begins with its first tag.
+    """The newest description in the camera's manifest, as text that begins with its first tag.
 
     Raises DeviceError where the manifest, the archive or the text is damaged.
     """
-    manifest = read_manifest(channel, address, name)
-    entries = [entry for entry in manifest if entry.packing in (_PLAIN, _ZIPPED)]
+    (count,) = _COUNT.unpack(channel.read(address, _COUNT.size))
+    if not 0 < count <= _MAX_ENTRIES:
+        raise DeviceError(f"{name}: its manifest lists {count} descriptions, 1 to {_MAX_ENTRIES} are valid")
+    entries: list[tuple[tuple[int, int, int], int, int]] = []
+    for index in range(count):
+        raw = channel.read(address + _COUNT.size + index * _ENTRY_STRIDE, _ENTRY.size)
+        subminor, minor, major, schema, file_address, size = _ENTRY.unpack(raw)
+        if (schema >> 10) & 31 in _PLAIN_OR_ZIPPED:
+            entries.append(((major, minor, subminor), file_address, size))
     if not entries:
         raise DeviceError(f"{name}: its manifest has no description that is plain or zipped XML")
-    newest = max(entries, key=lambda entry: entry.version)
-    if not 0 < newest.size <= _MAX_FILE_BYTES:
-        raise DeviceError(
-            f"{name}: its manifest gives the description {newest.size} bytes: the manifest is damaged"
-        )
-    return decode_description(channel.read(newest.address, newest.size), name)
+    _, file_address, size = max(entries)
+    if not 0 < size <= _MAX_FILE_BYTES:
+        raise DeviceError(f"{name}: its manifest gives the description {size} bytes: the manifest is damaged")
+    return decode_description(channel.read(file_address, size), name)
 
 
 def decode_description(packed: bytes, name: str) -> str:

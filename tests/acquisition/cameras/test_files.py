@@ -97,15 +97,6 @@ class TestDeepVideoConformance(FilesConformance):
         return write_video(tmp_path / "video.mkv", frames_of(16))
 
 
-class TestStackConformance(FilesConformance):
-    PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono16",)
-
-    @pytest.fixture
-    def source(self, tmp_path: Path) -> Path:
-        np.save(tmp_path / "stack.npy", frames_of(16))
-        return tmp_path / "stack.npy"
-
-
 @pytest.mark.parametrize("ending", [".png", ".pgm", ".tif", ".TIFF"])
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
 def test_images_come_back_bit_for_bit(tmp_path: Path, ending: str, bits: int) -> None:

@@ -12,7 +12,7 @@ from acquisition import cameras
 from acquisition.camera import CameraLost, Frame
 from acquisition.cameras.drivers import DRIVERS, settings_models
 from acquisition.cameras.reading import CameraRun
-from processing.errors import MissingPackage
+from processing.errors import MissingPackage, optional_module
 
 FRAME = Frame(np.zeros((2, 2), np.uint8), 0, -1, 0)
 
@@ -112,10 +112,18 @@ def fields_of(driver: str) -> set[str]:
 
 
 def test_a_missing_package_is_told_by_every_later_read() -> None:
-    def step(_: float) -> Frame | None:
-        raise MissingPackage("a film", "av", "video")
-
-    reading = CameraRun(step, lambda: None)
+    reading = CameraRun(lambda _: optional_module("no_av", "a film", "av", "video"), lambda: None)
     for _ in range(2):
         with pytest.raises(MissingPackage, match="a film needs av, of the extra video"):
             reading.read(0.0)
+
+
+@pytest.mark.parametrize("fault", ["import no_such_part", "raise ImportError('no libav')", "1 / 0"])
+def test_a_broken_package_is_not_said_to_be_missing(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_av.py").write_text(fault)
+    monkeypatch.syspath_prepend(tmp_path)
+    said = r"needs av, which is installed but cannot be loaded \(\w+Error: .* --force-reinstall av"
+    with pytest.raises(MissingPackage, match=said):
+        optional_module("broken_av", "a film", "av", "video")

@@ -1,9 +1,15 @@
-"""A full disk closes the record with its ending and the reason; one that fails keeps what was flushed."""
+"""A full disk closes the record with its ending and the reason; one that fails keeps what was flushed; a slow
+one does not delay the writer, and its late errors are reported.
+"""
 
+import errno
+import itertools
 import os
 import struct
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +17,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from acquisition.record import pixels_path
+from acquisition.record import mcap_file, pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.events import end_of
 from acquisition.record.mcap_file import McapFile, Reserve
@@ -28,6 +34,7 @@ DISK_BYTES = 3 * 1024 * 1024
 DRIVE_BYTES = 32 * 1024 * 1024
 EXT4_SHUTDOWN = 0x8004587D
 WITHOUT_LOG_FLUSH = 2
+DEADLINE_S = 60.0
 
 
 @pytest.fixture(params=["tmpfs", "ext4"])
@@ -259,3 +266,114 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     with RecordReader(tmp_path / "whole.mcap") as reader:
         assert reader.counts["/swing"] == 60
     assert not [f for f in check_record(tmp_path / "whole.mcap") if f.severity == "error"]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
+
+
+def impatient(path: Path, **more: int) -> RecordWriter:
+    """A writer that flushes after every event: its clock moves on by a second at every look."""
+    return RecordWriter(path, 0, clock=itertools.count().__next__, **more)
+
+
+def write_until_it_fails(writer: RecordWriter) -> None:
+    """An error of the disk is found in a thread, and raised by a flush after it."""
+    end_s = time.monotonic() + DEADLINE_S
+    while time.monotonic() < end_s:
+        writer.write_event(0, "b", "")
+        time.sleep(0.001)
+
+
+def kinds(path: Path) -> list[str]:
+    with RecordReader(path) as reader:
+        return [event.kind for event in reader.events()]
+
+
+def test_writing_does_not_wait_for_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = impatient(path)
+    real = mcap_file.sync_file
+    entered, go_on = threading.Event(), threading.Event()
+    forced: list[int] = []
+
+    def slow(number: int) -> None:
+        entered.set()
+        assert go_on.wait(DEADLINE_S)
+        real(number)
+        forced.append(number)
+
+    monkeypatch.setattr(mcap_file, "sync_file", slow)
+    writer.write_event(0, "a", "")
+    assert entered.wait(DEADLINE_S)
+    for _ in range(20):
+        writer.write_event(0, "b", "")
+    assert forced == []
+    # a kill loses none of it: it is in the file, though not yet on the disk
+    assert kinds(path) == ["a", *["b"] * 20]
+    go_on.set()
+    writer.close()
+    assert kinds(path) == ["a", *["b"] * 20]
+    # the one under way, and two of closing, which force what came meanwhile
+    assert len(forced) == 3
+
+
+def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = impatient(path)
+
+    def gone(number: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(mcap_file, "sync_file", gone)
+    with pytest.raises(RecordError, match=r"run\.mcap: could not be closed properly: Input/output error"):
+        write_until_it_fails(writer)
+    with pytest.raises(RecordError, match="is closed"):
+        writer.write_event(0, "c", "")
+    writer.close()
+
+
+def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = RecordWriter(path, 0, flush_interval_s=1e9)
+    real = mcap_file.sync_file
+    failures = [OSError(errno.EIO, "Input/output error")]
+
+    def once(number: int) -> None:
+        if failures:
+            raise failures.pop()
+        real(number)
+
+    monkeypatch.setattr(mcap_file, "sync_file", once)
+    writer.write_event(0, "a", "")
+    writer.flush(wait=False)
+    with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
+        writer.close()
+    assert kinds(path) == ["a", "record", "failed", "stop"]
+
+
+def test_a_disk_that_is_full_behind_ones_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = impatient(path, reserve_bytes=4096)
+
+    def full(self: Reserve, size: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Reserve, "hold", full)
+    monkeypatch.setattr(mcap_file, "_SPARE_BYTES", 10**6)
+    with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
+        write_until_it_fails(writer)
+    *written, record, failed, stop = kinds(path)
+    assert (set(written), record, failed, stop) == ({"b"}, "record", "failed", "stop")
+    assert not [finding for finding in check_record(path) if finding.severity == "error"]
+
+
+def test_a_record_that_is_removed_while_it_is_written_is_said_and_saved(path: Path) -> None:
+    writer = RecordWriter(path, 0)
+    writer.write_event(0, "a", "")
+    path.unlink()
+    with pytest.raises(RecordError, match="removed or renamed while it was written"):
+        writer.flush()
+    writer.close()
+    assert kinds(path)[0] == "a"

@@ -59,7 +59,7 @@ def spot(
     spot=st.none() | SPOTS,
     transposed=st.booleans(),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_pixels_come_back_whatever_the_spot_is(
     image: np.ndarray[Any, Any], origin: tuple[int, int], spot: Spot | None, transposed: bool
 ) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from processing.errors import DataError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
 from processing.spot.fit_values import AMPLITUDE, BACKGROUND, PARAMETERS, SIGMA_X, SIGMA_Y, SpotFit
 from processing.spot.outcome import significant
@@ -326,3 +327,11 @@ def test_an_obstacle_without_a_sharp_edge_widens_what_is_known_of_the_place(
         x, y = 48 + rng.uniform(-0.5, 0.5, 2)
         spot = tracker.track(covered(x, y, rng))
         assert spot.flags & SpotFlag.LOST or abs(spot.x_px - x) < 3.0 * spot.u_x_px
+
+
+@pytest.mark.parametrize("shape", [(1, 64), (3, 64), (4, 64), (64, 4)])
+def test_a_region_too_small_for_a_search_is_refused(shape: tuple[int, int]) -> None:
+    """A search reads four rows at once; the fewer rows of such a region would be read beyond their end."""
+    with pytest.raises(DataError, match=r"at least 5 x 5 pixels are needed"):
+        SpotTracker(EIGHT_BIT).track(np.zeros(shape, np.uint8))
+    assert SpotTracker(EIGHT_BIT).track(np.zeros((5, 64), np.uint8)).flags & SpotFlag.LOST

@@ -10,13 +10,14 @@ import pytest
 
 from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
+from calibration import Axes
 from processing.errors import DeviceError
 from processing.spot import SensorModel, SpotTracker
 from rig.devices import Devices, FrameStream, aligning
 from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
-from rig.instrument import DualSpotTracker
+from rig.instrument import Optics, Pipeline
 from rig.settings import Configuration, PreflightSettings, load_configuration
 from rig.terminal import palette
 from tests.rig.command_line import CONFIGS
@@ -75,7 +76,8 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
     # the spot is as bright as the preflight of this rig allows, and no brighter
     limits = PreflightSettings(min_peak_fraction=0.02, max_peak_fraction=0.3)
-    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings(), limits)
+    pipeline = Pipeline(Optics(model, None, Axes(), reference_row=260), image.shape)
+    look = take_look(Frame(image, 0, 0, 0), FULL_SCALE_DN, pipeline, None, CameraSettings(), limits)
     assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
@@ -201,7 +203,7 @@ def test_a_camera_that_ends_ends_the_picture_with_its_reason(
 def test_the_newest_of_the_frames_that_have_come_is_shown(
     config: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    came, shown = list[list[Frame]](), list[np.ndarray]()
+    came, shown = list[list[Frame]](), list[Frame]()
     take = FrameStream.take
     monkeypatch.setattr(FrameStream, "take", lambda *words: came.append(take(*words)) or came[-1])
     monkeypatch.setattr(aligning, "take_look", lambda *words: shown.append(words[0]) or take_look(*words))
@@ -209,7 +211,7 @@ def test_the_newest_of_the_frames_that_have_come_is_shown(
         LivePicture(config, devices).show(opened, seconds=0.5)
     blocks = [frames for frames in came if frames]
     assert max(map(len, blocks)) > 1
-    assert all(image is frames[-1].image for image, frames in zip(shown, blocks, strict=True))
+    assert all(frame is frames[-1] for frame, frames in zip(shown, blocks, strict=True))
 
 
 def test_it_ends_with_the_program_that_reads_its_lines(

@@ -41,11 +41,11 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
     pipeline = Pipeline(Optics(SensorModel(39.2, 7.0, 255), None, Axes()), (640, 320), threaded=True)
-    found = [pipeline.detect([], block) for block in blocks]
+    found = [pipeline.estimate(block) for block in blocks]
     last_swings, last_balances = pipeline.finish()
-    threaded = [balance for block in found for balance in block.balances] + last_balances
+    threaded = [balance for _, balances in found for balance in balances] + last_balances
     assert [repr(balance) for balance in threaded] == [repr(balance) for balance in in_line]
-    assert [*(swing for block in found for swing in block.half_cycles), *last_swings] == swings
+    assert [*(swing for half_cycles, _ in found for swing in half_cycles), *last_swings] == swings
 
 
 def test_frames_that_come_one_by_one_are_gathered_and_give_the_same() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError, MissingPackage
+from rig.intake import read_seismometer
 from rig.intake.table import TableColumns
 from tests.rig.intake.table_cases import Sheet, workbook
 
@@ -99,8 +100,10 @@ def test_without_calamine_one_line_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "python_calamine", None)
-    with pytest.raises(
-        MissingPackage,
-        match=r"decay.xlsx: a workbook needs .* -m pip install python-calamine, or save it as text",
-    ):
-        TableColumns().read(save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)}))
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)})
+    for read in (TableColumns().read, read_seismometer):
+        with pytest.raises(
+            MissingPackage,
+            match=r"decay.xlsx: a workbook needs .* -m pip install python-calamine, or save it as text",
+        ):
+            read(path)

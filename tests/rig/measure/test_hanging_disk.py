@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def entry_of(frame: Frame) -> RecordEntry:
     numbers, times = [frame.sequence], np.array([frame.time_ns])
     one = np.ones(1)
     spot = Spot(*[1.0] * 10, flags=0)
-    block = Block([spot], Deflections(times, one, one, one, one, DeflectionUnit.RAD), [], [])
+    block = Block([spot], Deflections(times, one, one, one, one, DeflectionUnit.RAD))
     return RecordEntry(numbers, times.tolist(), times.tolist(), block, [(frame.image, 0, 0)])
 
 
@@ -97,15 +98,15 @@ def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.Mo
     folder = disk.folder / "out"
     record = folder / "run-1.mcap"
 
-    original = Recorder._write
+    original = RecordWriter.write_spots
     recording = threading.Event()
 
-    def begun(self: Recorder, entry: RecordEntry) -> None:
+    def begun(*arguments: Any) -> None:
         # early in the run, however fast it is: most of its frames are written after this
         if not recording.is_set():
             disk.hang()
             recording.set()
-        original(self, entry)
+        original(*arguments)
 
     def hang() -> None:
         until(recording.is_set)
@@ -113,7 +114,7 @@ def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.Mo
         time.sleep(0.5)
         disk.go_on()
 
-    monkeypatch.setattr(Recorder, "_write", begun)
+    monkeypatch.setattr(RecordWriter, "write_spots", begun)
     hanging = threading.Thread(target=hang)
     hanging.start()
     # a run faster than real time is over before it writes to the disk for the second time

@@ -70,12 +70,13 @@ def make_record(
         writer.write_event(START_NS, "start", "first frame")
         for first in range(0, len(spots), 25):
             part = slice(first, first + 25)
-            block = pipeline.measure(times_ns[part], spots[part])
+            deflections = pipeline.deflector(times_ns[part], spots[part])
+            half_cycles, balances = pipeline.estimate(deflections)
             listed = times_ns[part].tolist()
-            writer.write_spots(sequences[part].tolist(), listed, listed, block.spots, block.deflections)
-            for swing in block.half_cycles:
+            writer.write_spots(sequences[part].tolist(), listed, listed, spots[part], deflections)
+            for swing in half_cycles:
                 writer.write_half_cycle(swing)
-            for balance in block.balances:
+            for balance in balances:
                 writer.write_balance(balance)
             if windows:
                 _write_windows(writer, sequences[part].tolist(), spots[part])
