@@ -48,42 +48,58 @@ ALLOWED = {
 """Modules that write otherwise, and why they may."""
 
 
-def _writes(tree: ast.AST) -> Iterator[str]:
+def _calls(tree: ast.AST) -> Iterator[tuple[str, str, ast.Call]]:
+    """Every call: its name, the name of what it is a method of, if that is one, and the call."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and (name := _written_by(node)):
+        if isinstance(node, ast.Call):
+            owner = getattr(node.func, "value", None)
+            of = "" if owner is None else getattr(owner, "id", "?")
+            yield getattr(node.func, "attr", getattr(node.func, "id", "")), of, node
+
+
+def _mode(call: ast.Call) -> str:
+    """The mode in which a call opens a file, as far as one is written there."""
+    given = [*call.args, *(key.value for key in call.keywords)]
+    texts = [part.value for part in given if isinstance(part, ast.Constant) and isinstance(part.value, str)]
+    return next((text for text in texts if text and set(text) <= set("rwxabt+")), "")
+
+
+_IN_MEMORY = {"buffer", "out", "data", "file", "beside", "run"}
+"""Variables that name no file on a disk, or what the one writer has opened."""
+
+
+def _writes(tree: ast.AST) -> Iterator[str]:
+    """The names of calls that write a file."""
+    for name, of, call in _calls(tree):
+        ends = call.args[:1] + call.args[-1:]
+        if any(getattr(getattr(end, "func", None), "attr", "") == "dup" for end in ends):
+            continue  # of what is open
+        flags = {part.attr for part in ast.walk(call) if isinstance(part, ast.Attribute)}
+        target = getattr(ends[name.startswith("write")], "id", "?") if ends else ""
+        if (
+            name in _CALLS
+            or (of, name) == ("shutil", "copy")
+            or ((of, name) == ("os", "open") and flags & _CREATES)
+            or (name in ("open", "fdopen", "File") and set(_mode(call)) & set("wxa+"))
+            or (name in ("savefig", "write_table", "to_csv", "write_csv") and of and ends
+                and target not in _IN_MEMORY)
+        ):  # fmt: skip
             yield name
 
 
-def _written_by(call: ast.Call) -> str:
-    """The name of a call that writes a file, else nothing."""
-    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    owner = call.func.value if isinstance(call.func, ast.Attribute) else None
-    of = owner.id if isinstance(owner, ast.Name) else ""
-    inner = call.args[0] if call.args else None
-    if isinstance(inner, ast.Call) and getattr(inner.func, "attr", "") == "dup":
-        return ""  # of what is open
-    if name in _CALLS or (of, name) == ("shutil", "copy"):
-        return name
-    if (of, name) == ("os", "open"):
-        flags = {part.attr for part in ast.walk(call) if isinstance(part, ast.Attribute)}
-        return "os.open" if flags & _CREATES else ""
-    if name in ("open", "fdopen", "File"):
-        texts = [part.value for part in [*call.args, *(key.value for key in call.keywords)]
-                 if isinstance(part, ast.Constant) and isinstance(part.value, str)]  # fmt: skip
-        return name if any(set(text) <= set("rwxabt+") and set(text) & set("wxa+") for text in texts) else ""
-    if name in ("savefig", "write_table", "to_csv", "write_csv") and owner is not None and call.args:
-        target = call.args[-1 if name.startswith("write") and len(call.args) > 1 else 0]
-        # into memory, or what such a variable names
-        in_memory = isinstance(target, ast.Name) and target.id in (
-            "buffer",
-            "out",
-            "data",
-            "file",
-            "beside",
-            "run",
-        )
-        return "" if in_memory else name
-    return ""
+def _unstated(tree: ast.AST) -> Iterator[int]:
+    """Lines with a call that reads or writes text and leaves the encoding to the system."""
+    for name, of, call in _calls(tree):
+        stated = {key.arg for key in call.keywords}
+        is_text = bool(_mode(call)) and "b" not in _mode(call)
+        if "encoding" not in stated and (
+            (name == "read_text" and not call.args)
+            or name == "write_text"
+            or (name in ("open", "fdopen") and is_text)
+            or ((name, of) == ("open", "") and not _mode(call))
+            or (name in ("run", "Popen", "check_output") and "text" in stated)
+        ):
+            yield call.lineno
 
 
 @pytest.fixture(scope="module")
@@ -108,64 +124,21 @@ def test_nothing_writes_a_file_but_the_one_writer_and_what_says_why(trees: dict[
     assert not ALLOWED.keys() - found.keys()
 
 
-def test_a_writer_of_its_own_is_found() -> None:
-    for text in (
-        "path.write_text('x')",
-        "open(path, 'w')",
-        "path.open('ab')",
-        "os.open(path, os.O_WRONLY | os.O_CREAT)",
-        "figure.savefig(path)",
-        "h5py.File(path, 'x')",
-        "parquet.write_table(table, path)",
-    ):
-        assert list(_writes(ast.parse(text))), text
-    for text in ("path.open('rb')", "open(path)", "path.read_text()", "figure.savefig(out)"):
-        assert not list(_writes(ast.parse(text))), text
-
-
 def test_text_has_the_same_encoding_on_every_system(trees: dict[str, ast.Module]) -> None:
     """Windows would take the one of the country, and a log of an operator's name could not be read again."""
-    found = [
-        f"{name}:{line}"
-        for name, tree in trees.items()
-        # runs on the controller
-        if "/firmware/" not in name
-        for line in _unstated(tree)
-    ]
+    # firmware runs on the controller
+    found = [f"{name}:{line}" for name, tree in trees.items() if "/firmware/" not in name
+             for line in _unstated(tree)]  # fmt: skip
     assert not found
 
 
-def _unstated(tree: ast.AST) -> Iterator[int]:
-    """Lines with a call that reads or writes text and leaves the encoding to the system."""
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call):
-            continue
-        stated = {key.arg: key.value for key in node.keywords}
-        if "encoding" in stated:
-            continue
-        owner = node.func.value if isinstance(node.func, ast.Attribute) else None
-        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-        mode = stated.get("mode")
-        if (name, owner) == ("open", None) or name == "fdopen":
-            mode = node.args[1] if len(node.args) > 1 else mode
-        elif name == "open" and node.args:
-            mode = node.args[0]
-        of_text = (
-            isinstance(mode, ast.Constant)
-            and isinstance(mode.value, str)
-            and set(mode.value) <= set("rwxat+")
-        )
-        if (
-            (name == "read_text" and not node.args)
-            or name == "write_text"
-            or ((name, owner) == ("open", None) and (mode is None or of_text))
-            or (name in ("open", "fdopen") and of_text)
-            or (name in ("run", "Popen", "check_output") and "text" in stated)
-        ):
-            yield node.lineno
-
-
-def test_what_implies_an_encoding_is_found() -> None:
+def test_what_writes_and_what_implies_an_encoding_is_found() -> None:
+    writes = [
+        "path.write_text('x')", "open(path, 'w')", "path.open('ab')", "os.open(path, os.O_WRONLY)",
+        "figure.savefig(path)", "h5py.File(path, 'x')", "parquet.write_table(table, path)",
+    ]  # fmt: skip
+    assert [len(list(_writes(ast.parse(text)))) for text in writes] == [1] * len(writes)
+    assert not list(_writes(ast.parse("path.open('rb'); open(path); path.read_text(); figure.savefig(out)")))
     lines = [
         "path.read_text()", "open(path)", "open(path, 'w')", "path.open('a')", "os.fdopen(1, 'w')",
         "run(words, text=True)", "path.read_text(encoding='utf-8')", "path.read_text('utf-8')",

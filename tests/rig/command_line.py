@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import logging
 import os
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock, patch
 
 from acquisition.record.reader import RecordReader
@@ -162,6 +164,52 @@ def _logging_of_its_own() -> Iterator[None]:
 
 
 def events_of(record: Path) -> list[tuple[str, str]]:
-    """Kinds and texts of a record's events."""
+    """Kinds and texts of a whole record's events."""
     with RecordReader(record) as reader:
+        assert not reader.truncated
         return [(event.kind, event.text) for event in reader.events()]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session's folder, and what the command printed that measured there."""
+
+    folder: Path
+    done: Done = Done(0, "", "")
+
+    @property
+    def said(self) -> str:
+        return self.done.stderr
+
+    @property
+    def record(self) -> Path:
+        return self.folder / "run-1.mcap"
+
+    @property
+    def events(self) -> list[tuple[str, str]]:
+        return events_of(self.record)
+
+    @property
+    def entries(self) -> list[dict[str, Any]]:
+        """What the session's file says of each record."""
+        return self._tree("session.json")["entries"]
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """The runs of its results."""
+        return self._tree("results.json")["runs"]
+
+    @property
+    def audit(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in (self.folder / "audit.jsonl").read_text("utf-8").splitlines()]
+
+    def _tree(self, name: str) -> Any:
+        return json.loads((self.folder / name).read_text("utf-8"))
+
+
+def run(
+    folder: Path, values: dict[str, str], *words: str | Path, config: str = "demo.toml", **changes: str
+) -> Session:
+    """`rig run` with these keys of a configuration set, also as `section__key`."""
+    values = {**values, **{key.replace("__", "."): value for key, value in changes.items()}}
+    return Session(folder, rig("run", CONFIGS / config, "-o", folder, *words, *set_words(values)))
