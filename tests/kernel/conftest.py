@@ -6,7 +6,7 @@ import pytest
 
 from tests.kernel.boot import Missing, find_kernel, module_files, run_in_guest
 
-TIME_LIMIT_S = 700.0
+TIME_LIMIT_S = 1000.0
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from rig.analysis import analyse_record
 from rig.analysis.contact_fits import fit_decay
 from tests.rig.long_record import make_long_record
 
-SHORT, LONG = 4_000, 9_000
+SHORT, LONG = 6_000, 13_000
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ MAGNET = {
     "preflight.duration_s": "1.0",
     "phases.rest_window_s": "2.0",
     "phases.warm_up_window_s": "2.1",
-    "session.max_duration_s": "6",
+    "session.max_duration_s": "12",
     # a program that a busy machine holds up for longer than usual is no trip of its own
     "controller.watchdog_s": "5.0",
 }
