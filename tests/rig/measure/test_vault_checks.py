@@ -63,29 +63,30 @@ def test_a_seismometer_says_what_it_would_give(minute: tuple[TrialFrames, Floats
 
 def test_an_unrelated_one_is_a_warning_and_a_dead_one_no_go(minute: tuple[TrialFrames, Floats]) -> None:
     look, drive = minute
-    other = judged(look, samples(np.random.default_rng(2).standard_normal(len(drive))))
-    assert other.ok
-    assert "does not show what moves the pendulum" in other.reason
-    assert other.remedy
-    dead = judged(look, samples(np.full(len(drive), 8192.0)))
-    assert not dead.ok
-    assert "z: constant over 1500 samples" in dead.reason
-    silent = judged(look, [], "no line has come")
-    assert (silent.ok, silent.reason) == (False, "no line has come")
+    unrelated = np.random.default_rng(2).standard_normal(len(drive))
+    for verdict, ok, said in (
+        (judged(look, samples(unrelated)), True, "does not show what moves the pendulum"),
+        (judged(look, samples(np.full(len(drive), 8192.0))), False, "z: constant over 1500 samples"),
+        (judged(look, [], "no line has come"), False, "no line has come"),
+    ):
+        assert verdict.ok is ok
+        assert said in verdict.reason
+        assert verdict.remedy
 
 
 def test_what_cannot_be_known_is_not_promised(minute: tuple[TrialFrames, Floats]) -> None:
     look, drive = minute
-    short = look_at(look.deflections.times_s[:150], look.deflections.y[:150])
-    verdict = judged(short, samples(drive[:150]))
-    assert (verdict.ok, verdict.made, verdict.measured) == (True, False, "serial, alive")
-    assert "preflight.duration_s = 60 would measure it" in verdict.reason
-    still = look_at(look.deflections.times_s, 1e-9 * np.random.default_rng(1).standard_normal(len(drive)))
-    verdict = judged(still, samples(drive))
-    assert not verdict.made
-    assert "the ground does not exceed the noise of the spot" in verdict.reason
-    swinging = look_at(look.deflections.times_s, look.deflections.y, resting=False)
-    assert not judged(swinging, samples(drive)).made
+    times_s, y = look.deflections.times_s, look.deflections.y
+    still = 1e-9 * np.random.default_rng(1).standard_normal(len(drive))
+    short = judged(look_at(times_s[:150], y[:150]), samples(drive[:150]))
+    quiet, swinging = (
+        judged(look_at(times_s, at, resting=resting), samples(drive))
+        for at, resting in ((still, True), (y, False))
+    )
+    assert [verdict.made for verdict in (short, quiet, swinging)] == [False] * 3
+    assert (short.ok, short.measured) == (True, "serial, alive")
+    assert "preflight.duration_s = 60 would measure it" in short.reason
+    assert "the ground does not exceed the noise of the spot" in quiet.reason
     assert judged(look, [], None).measured == "none is configured"
 
 
