@@ -1,4 +1,7 @@
-"""One boot of a guest for all tests of a file."""
+"""One boot of a guest for all tests of a file.
+
+Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
+"""
 
 from typing import Any
 

@@ -1,7 +1,4 @@
-"""The Video4Linux driver with the kernel's test driver vivid, in QEMU.
-
-Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
-"""
+"""The Video4Linux driver with the kernel's test driver vivid, in QEMU."""
 
 from itertools import pairwise
 from typing import Any

@@ -238,7 +238,7 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     assert long.measured.endswith("in 60 s")
     assert rest_checks.ground(minute(DRIVEN), asking(1e-9)).limit == "1e-09 rad/s²/√Hz"
     in_px = rest_checks.ground(minute(DRIVEN, PX), asking(1e-9))
-    assert (in_px.ok, in_px.reason) == (True, rest_checks.NO_LEVER)
+    assert (in_px.ok, in_px.reason, in_px.remedy) == (True, rest_checks.NO_LEVER, "")
 
 
 @pytest.mark.parametrize("size_px", [0.0001, 10.0])
