@@ -40,12 +40,6 @@ AT_ONCE: dict[str, str] = {
     "simulation.release.way": '"let go"',
 }
 """A session that records from the first frame on."""
-WITHOUT_FIGURES = """
-from tests.rig.command_line import figures_are_drawn, main
-with figures_are_drawn(False):
-    main()
-"""
-"""The program for `python -c` in the project's folder, with reports as `rig` makes them."""
 
 
 def set_words(values: dict[str, str]) -> list[str]:

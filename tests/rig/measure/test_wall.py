@@ -1,4 +1,4 @@
-"""Nothing that only watches can end a run: each of it fails here, and the run comes to its end with a fit."""
+"""Nothing that only watches can end a run: all of it fails here, and the run comes to its end."""
 
 import contextlib
 from pathlib import Path
