@@ -1,11 +1,9 @@
-"""The command line as `python -m rig` runs it, in the process of the tests or in one of its own."""
+"""The command line as `python -m rig` runs it, in the process of the tests."""
 
 import contextlib
 import io
 import json
 import logging
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -72,8 +70,6 @@ def rig(
 
     Where nothing is `captured`, it uses the streams that are there.
 
-    What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
-
     Without `figures` the report has none: they take most of a short session's time, and are tested in a room
     of their own.
     """
@@ -91,20 +87,6 @@ def rig(
             status = end.code
     assert isinstance(status, int)
     return Done(status, out.getvalue(), errors.getvalue())
-
-
-def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
-    """Run a command in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *map(str, words)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        stdin=subprocess.DEVNULL,
-        env={**os.environ, "COLUMNS": "200"},
-        check=False,
-    )
-    return Done(done.returncode, done.stdout, done.stderr)
 
 
 REAL_DRAWINGS = session_report._drawings

@@ -19,7 +19,7 @@ from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior
 from rig.settings import load_configuration
 from tests.processing.fit.decays import decay, paper_pair
 from tests.rig.command_line import CONFIGS
-from tests.waiting import until
+from tests.waiting import LIMIT_S, until
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 POINTS = decay(PARAMETERS, PENDULUM, noise_arcsec=0.005, seed=4)
@@ -206,6 +206,6 @@ def test_the_process_ends_with_the_record_and_with_the_one_that_started_it(
     )
     if not synchronous:
         record.close()
-    assert process.communicate(timeout=50) == (b"", b"")
+    assert process.communicate(timeout=LIMIT_S) == (b"", b"")
     assert process.returncode == 0
     record.close()
