@@ -5,7 +5,7 @@ import json
 import math
 import re
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from acquisition.frames.losses import FrameLosses
-from acquisition.record.topics import RecordedClockStep
+from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import RecordedClockStep, RecordedLosses
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
@@ -99,6 +100,30 @@ def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
         step = RecordedClockStep(1, step_ns, 1000)
         now = now.with_contents(RecordContents(messages=[step]), RAD)
     assert now.clock == CameraClock(steps=3, largest_step_s=-0.13)
+
+
+def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:
+    swings = [
+        HalfCycle(n, round(1e9 * (10.0 + 2.1 * n)), 1e-6, size * ARCSEC_RAD, 1e-9, 2.1, 1e-6, 0.0, 1, flags)
+        for n, size, flags in ((0, 124.0, 0), (1, 99.0, 1))
+    ]
+    before = RunNow(half_cycles=5, dropped_frames=7)
+    lost = [RecordedLosses(1, *astuple(FrameLosses(by_bus=count))) for count in (9, 3)]
+    for losses, dropped in zip(lost, (9, 7), strict=True):
+        contents = RecordContents(half_cycles=swings, messages=[losses], start_ns=6_000_000_000)
+        now = before.with_contents(contents, RAD)
+        assert (now.half_cycles, now.dropped_frames) == (7, dropped)
+        assert (now.amplitude, now.amplitude_s, now.period_s) == (pytest.approx(124.0), 4.0, 4.2)
+
+
+def test_the_panel_has_the_alarm_and_the_newest_events() -> None:
+    shown = display()
+    shown.take(RecordContents(events=[Event(n, EventKind.STOP, f"number {n}.") for n in range(20)]))
+    seen = screen(SEEN, shown)
+    assert "number 19." in seen
+    assert "number 0." not in seen
+    assert "!!!" not in seen
+    assert "!!! IT IS DARK !!!" in screen(replace(SEEN, alarm="it is dark"), shown)
 
 
 def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> None:
