@@ -1,4 +1,7 @@
-"""One boot of a guest for all tests of a file."""
+"""One boot of a guest for all tests of a file.
+
+Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
+"""
 
 from typing import Any
 
@@ -6,7 +9,7 @@ import pytest
 
 from tests.kernel.boot import Missing, find_kernel, module_files, run_in_guest
 
-TIME_LIMIT_S = 700.0
+TIME_LIMIT_S = 1000.0
 
 
 @pytest.fixture(scope="module")

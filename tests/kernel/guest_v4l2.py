@@ -1,8 +1,14 @@
-"""Runs in the guest: conformance suite and faults with the kernel's vivid driver."""
+"""Runs in the guest: conformance suite and faults with the kernel's vivid driver, which goes and comes back.
+
+What is done to it: its driver is unbound and bound, as when a cable is pulled and plugged in; its module is
+unloaded and loaded; its device is given another number, because another program still holds the old one.
+The argument is the file of vivid's module; names of scenarios may follow.
+"""
 
 import fcntl
 import os
 import struct
+import subprocess
 import sys
 import tempfile
 import time
@@ -15,12 +21,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, PixelFormat
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, PixelFormat
 from acquisition.cameras.drivers import V4l2Settings
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.camera import V4l2Camera
 from acquisition.cameras.v4l2.devices import list_devices
 from processing.errors import DeviceError
+from rig.devices.frame_stream import FrameStream
 from tests.acquisition.cameras.conformance import CameraConformance
 from tests.kernel.scenarios import run_scenarios
 
@@ -28,11 +35,24 @@ SET_INPUT = 3 << 30 | 4 << 16 | ord("V") << 8 | 39  # VIDIOC_S_INPUT
 WEBCAM, HDMI = 0, 3
 COLOUR_BARS, COLOUR_SQUARES, NO_TEXT = 1, 4, 2
 SMALL = CameraSettings(width_px=320, height_px=180)
+AT_30_HZ = CameraSettings(width_px=320, height_px=180, frame_rate_hz=30.0)
+DRIVER = Path("/sys/bus/platform/drivers/vivid")
+WITHIN_S = 120.0
 
 
 def device() -> str:
     """The first vivid device that captures grey images."""
     return next(found.path for found in list_devices() if "vivid" in found.name and "GREY" in found.formats)
+
+
+@contextmanager
+def opened() -> Iterator[int]:
+    """The device itself, as another program opens it."""
+    handle = kernel.open_device(device())
+    try:
+        yield handle
+    finally:
+        os.close(handle)
 
 
 def make(**more: Any) -> V4l2Camera:
@@ -84,16 +104,14 @@ def suite(name: str) -> dict[str, Any]:
 
 
 def select_input(number: int) -> None:
-    handle = kernel.open_device(device())
-    fcntl.ioctl(handle, SET_INPUT, struct.pack("<i", number))
-    os.close(handle)
+    with opened() as handle:
+        fcntl.ioctl(handle, SET_INPUT, struct.pack("<i", number))
 
 
 def control(name: str, value: int) -> None:
-    handle = kernel.open_device(device())
-    number = next(there.number for there in kernel.controls(handle) if there.name == name)
-    kernel.set_control(handle, number, value)
-    os.close(handle)
+    with opened() as handle:
+        number = next(there.number for there in kernel.controls(handle) if there.name == name)
+        kernel.set_control(handle, number, value)
 
 
 def dropped() -> dict[str, Any]:
@@ -116,7 +134,7 @@ def dropped() -> dict[str, Any]:
 
 def late() -> dict[str, Any]:
     """Nobody reads for a second: all buffers are full, and what is missing then is the host's loss."""
-    with running(SMALL.model_copy(update={"frame_rate_hz": 30.0})) as camera:
+    with running(AT_30_HZ) as camera:
         frames = [camera.read(5.0) for _ in range(5)]
         time.sleep(1.0)
         frames += [camera.read(5.0) for _ in range(20)]
@@ -230,9 +248,8 @@ def refused() -> dict[str, Any]:
     other = make(gain=50)
     other.open()
     other.configure(CameraSettings())
-    handle = kernel.open_device(device())
-    said["gain set"] = str(kernel.get_control(handle, kernel.GAIN))
-    os.close(handle)
+    with opened() as handle:
+        said["gain set"] = str(kernel.get_control(handle, kernel.GAIN))
     other.close()
     return said
 
@@ -258,30 +275,19 @@ def automatic() -> dict[str, Any]:
 
 def unplugged() -> dict[str, Any]:
     """vivid's button 'Disconnect' while frames run."""
-    camera = make()
-    name = device()
-    camera.open()
-    camera.configure(SMALL)
-    camera.start()
-    for _ in range(5):
-        camera.read(5.0)
-    control("Disconnect", 1)
-    begin_s = time.monotonic()
     message = ""
-    try:
-        while time.monotonic() - begin_s < 15:
+    with running() as camera:
+        for _ in range(5):
             camera.read(5.0)
-    except CameraLost as lost:
-        message = str(lost)
-    noticed_s = time.monotonic() - begin_s
-    stop_s = time.monotonic()
-    camera.close()
-    return {
-        "device": name,
-        "noticed_s": noticed_s,
-        "message": message,
-        "close_s": time.monotonic() - stop_s,
-    }
+        control("Disconnect", 1)
+        begin_s = time.monotonic()
+        try:
+            while time.monotonic() - begin_s < 15:
+                camera.read(5.0)
+        except CameraLost as lost:
+            message = str(lost)
+        stop_s = time.monotonic()
+    return {"noticed_s": stop_s - begin_s, "message": message, "close_s": time.monotonic() - stop_s}
 
 
 def mosaic() -> dict[str, Any]:
@@ -292,9 +298,8 @@ def mosaic() -> dict[str, Any]:
     for fourcc in ("RGGB", "GRBG", "GBRG", "BA81", "RG10", "BA12"):
         means[fourcc] = {}
         for plane in ("red", "green", "blue"):
-            here = kernel.open_device(device())
-            kernel.set_layout(here, 640, 360, fourcc)
-            os.close(here)
+            with opened() as handle:
+                kernel.set_layout(handle, 640, 360, fourcc)
             camera = make()
             info = camera.open()
             camera.configure(CameraSettings.model_validate({"colour_plane": plane}))
@@ -309,13 +314,98 @@ def mosaic() -> dict[str, Any]:
     return {"means": means, "shapes": sorted(shapes)}
 
 
-def devices() -> dict[str, Any]:
-    return {"found": [found._asdict() for found in list_devices()]}
+class Run:
+    """A stream at default settings, and what came out of it."""
+
+    def __init__(self, asked: CameraSettings = AT_30_HZ, **options: str) -> None:
+        self.camera = V4l2Camera(V4l2Settings.model_validate(options))
+        self.camera.open()
+        self.stream = FrameStream(self.camera, asked, applied=self.camera.configure(asked))
+        self.stream.start_camera()
+        assert self.stream.begin() is not None
+        self.frames: list[Frame] = []
+        self.events: list[tuple[str, str]] = []
+
+    def until(self, reached: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + WITHIN_S
+        while not reached():
+            if time.monotonic() > deadline_s or self.stream.drained:
+                raise AssertionError((self.events, self.stream.ended, len(self.frames)))
+            self.frames += self.stream.take(64, 0.1)
+            self.events += [(str(kind), text) for kind, text in self.stream.take_events()]
+
+    def goes_and_comes(self, go: Callable[[], None], come: Callable[[], None]) -> dict[str, Any]:
+        """What the stream made of a camera that was away for a second."""
+        try:
+            self.until(lambda: len(self.frames) > 20)
+            go()
+            self.until(lambda: "camera lost" in dict(self.events))
+            before = len(self.frames)
+            away_s = time.monotonic() + 1.0
+            self.until(lambda: time.monotonic() > away_s)
+            come()
+            self.until(lambda: "camera back" in dict(self.events) and len(self.frames) > before + 20)
+        finally:
+            self.stream.close()
+            reconnects = self.camera.status.reconnects
+            self.camera.close()
+        return {
+            "failure": repr(self.stream.failure) if self.stream.failure else "",
+            "events": self.events,
+            "numbers": [frame.sequence for frame in self.frames],
+            "device_time_ns": [frame.device_time_ns for frame in self.frames],
+            "host_time_ns": [frame.host_time_ns for frame in self.frames],
+            "images": sorted({(*frame.image.shape, str(frame.image.dtype)) for frame in self.frames}),
+            "while_unplugged": self.stream.losses.while_unplugged,
+            "lost": self.stream.losses.total,
+            "reconnects": reconnects,
+        }
+
+
+def bind(how: str = "bind") -> None:
+    (DRIVER / how).write_text("vivid.0")
+
+
+def unbind() -> None:
+    bind("unbind")
+
+
+def cable() -> dict[str, Any]:
+    return Run().goes_and_comes(unbind, bind)
+
+
+def same_settings() -> dict[str, Any]:
+    """Nothing is asked for: the format that another program has set is that of the whole run."""
+    with opened() as handle:
+        kernel.set_layout(handle, 640, 360, "Y12 ")
+        kernel.set_rate_hz(handle, 25.0)
+    return Run(CameraSettings()).goes_and_comes(unbind, bind)
+
+
+def module() -> dict[str, Any]:
+    def come() -> None:
+        # a module in use is not unloaded: its device goes first
+        for words in (("rmmod", "vivid"), ("insmod", sys.argv[1])):
+            done = subprocess.run(["busybox", *words], capture_output=True, text=True, check=False)
+            assert not done.returncode, done.stderr
+
+    return Run().goes_and_comes(unbind, come)
+
+
+def other_number() -> dict[str, Any]:
+    """The configuration names the device, whose number is then taken by a program that holds the old one."""
+    before = device()
+    run = Run(device=before)
+    held = os.open(before, os.O_RDWR | os.O_NONBLOCK)
+    try:
+        return {**run.goes_and_comes(unbind, bind), "before": before, "after": device()}
+    finally:
+        os.close(held)
 
 
 def main() -> None:
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
-        "devices": devices,
+        "devices": lambda: {"found": [found._asdict() for found in list_devices()]},
         "kernel": lambda: suite("TestKernelReading"),
         "dropped": dropped,
         "late": late,
@@ -325,9 +415,13 @@ def main() -> None:
         "refused": refused,
         "automatic": automatic,
         "mosaic": mosaic,
+        "cable": cable,
+        "same_settings": same_settings,
+        "module": module,
+        "other_number": other_number,
         "unplugged": unplugged,
     }
-    run_scenarios(scenarios, sys.argv[1:])
+    run_scenarios(scenarios, sys.argv[2:])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """A record on a drive whose power is cut can be read up to the last second.
 
-Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had. `make bench` cuts
-at 50 moments, on exFAT, too.
+`make bench` cuts at 50 moments, on exFAT, too.
 """
 
 from pathlib import Path

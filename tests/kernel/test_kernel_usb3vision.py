@@ -1,7 +1,6 @@
 """The USB3 Vision driver with a real kernel, real libusb and libaravis, in QEMU.
 
 The camera made for the tests is attached to the kernel's virtual host controller over USB/IP.
-Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
 """
 
 from typing import Any

@@ -1,7 +1,4 @@
-"""The Thorlabs driver with a real kernel's usbtmc, in QEMU; the instrument is attached over USB/IP.
-
-Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
-"""
+"""The Thorlabs driver with a real kernel's usbtmc, in QEMU; the instrument is attached over USB/IP."""
 
 from typing import Any
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, TypeGuard
 
 Entry = list[Any]
 """``[value]`` or ``[value, u]``; of a long list ``[length, first, last, mean]``; a verdict is a string."""
@@ -64,19 +64,14 @@ def _flat(values: list[Any]) -> list[float]:
     """The numbers of a list, or of a list of lists; empty where it holds anything else. None is NaN."""
     found: list[float] = []
     for value in values:
-        if isinstance(value, list):
-            inner = _flat(value)
-            if not inner:
-                return []
-            found += inner
-        elif value is None or _is_number(value):
-            found.append(math.nan if value is None else float(value))
-        else:
+        inner = _flat(value) if isinstance(value, list) else [math.nan if value is None else value]
+        if not inner or not all(map(_is_number, inner)):
             return []
+        found += map(float, inner)
     return found
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float)
 
 
@@ -96,11 +91,7 @@ class Difference:
     after: Entry | None
 
     def __str__(self) -> str:
-        return f"{self.case} {self.path}: {self.kind}: {_text(self.before)} -> {_text(self.after)}"
-
-
-def _text(entry: Entry | None) -> str:
-    return "-" if entry is None else json.dumps(entry)
+        return f"{self.case} {self.path}: {self.kind}: {json.dumps(self.before)} -> {json.dumps(self.after)}"
 
 
 def differences(case: str, before: Mapping[str, Entry], after: Mapping[str, Entry]) -> Sequence[Difference]:
@@ -116,29 +107,22 @@ def differences(case: str, before: Mapping[str, Entry], after: Mapping[str, Entr
 
 
 def _equal(old: Entry, new: Entry) -> bool:
-    return len(old) == len(new) and all(_same(a, b) for a, b in zip(old, new, strict=True))
+    return len(old) == len(new) and all(map(_same, old, new))
 
 
 def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, float | int) and isinstance(b, float | int):
-        both_nan = isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b)
-        return both_nan or math.isclose(a, b, rel_tol=10.0 ** (2 - DIGITS), abs_tol=1e-300)
-    return bool(a == b)
+    if not (_is_number(a) and _is_number(b)):
+        return bool(a == b)
+    both_nan = math.isnan(a) and math.isnan(b)
+    return both_nan or math.isclose(a, b, rel_tol=10.0 ** (2 - DIGITS), abs_tol=1e-300)
 
 
 def _within(path: str, old: Entry, new: Entry) -> bool:
     """Whether an entry moved within the limits."""
-    if len(old) != len(new) or not all(_is_finite(x) for x in (*old, *new)):
+    if len(old) != len(new) or not all(_is_number(x) and math.isfinite(x) for x in (*old, *new)):
         return False
-    if len(old) != 2:
-        return all(abs(b - a) <= U_LIMIT * abs(a) for a, b in zip(old, new, strict=True))
-    value, u = old
-    drawn = any(fnmatchcase(path, pattern) for pattern in DRAWN)
-    return bool(
-        abs(new[0] - value) <= VALUE_LIMIT_U * u
-        and abs(new[1] - u) <= (DRAWN_U_LIMIT if drawn else U_LIMIT) * u
-    )
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
+    limits = [U_LIMIT * abs(value) for value in old]
+    if len(old) == 2:
+        drawn = any(fnmatchcase(path, pattern) for pattern in DRAWN)
+        limits = [VALUE_LIMIT_U * old[1], (DRAWN_U_LIMIT if drawn else U_LIMIT) * old[1]]
+    return all(abs(b - a) <= limit for a, b, limit in zip(old, new, limits, strict=True))

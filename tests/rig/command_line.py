@@ -1,14 +1,14 @@
-"""The command line as `python -m rig` runs it, in the process of the tests or in one of its own."""
+"""The command line as `python -m rig` runs it, in the process of the tests."""
 
 import contextlib
 import io
+import json
 import logging
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock, patch
 
 from acquisition.record.reader import RecordReader
@@ -38,12 +38,6 @@ AT_ONCE: dict[str, str] = {
     "simulation.release.way": '"let go"',
 }
 """A session that records from the first frame on."""
-WITHOUT_FIGURES = """
-from tests.rig.command_line import figures_are_drawn, main
-with figures_are_drawn(False):
-    main()
-"""
-"""The program for `python -c` in the project's folder, with reports as `rig` makes them."""
 
 
 def set_words(values: dict[str, str]) -> list[str]:
@@ -76,8 +70,6 @@ def rig(
 
     Where nothing is `captured`, it uses the streams that are there.
 
-    What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
-
     Without `figures` the report has none: they take most of a short session's time, and are tested in a room
     of their own.
     """
@@ -95,20 +87,6 @@ def rig(
             status = end.code
     assert isinstance(status, int)
     return Done(status, out.getvalue(), errors.getvalue())
-
-
-def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
-    """Run a command in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", *map(str, words)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        stdin=subprocess.DEVNULL,
-        env={**os.environ, "COLUMNS": "200"},
-        check=False,
-    )
-    return Done(done.returncode, done.stdout, done.stderr)
 
 
 REAL_DRAWINGS = session_report._drawings
@@ -162,6 +140,52 @@ def _logging_of_its_own() -> Iterator[None]:
 
 
 def events_of(record: Path) -> list[tuple[str, str]]:
-    """Kinds and texts of a record's events."""
+    """Kinds and texts of a whole record's events."""
     with RecordReader(record) as reader:
+        assert not reader.truncated
         return [(event.kind, event.text) for event in reader.events()]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session's folder, and what the command printed that measured there."""
+
+    folder: Path
+    done: Done = Done(0, "", "")
+
+    @property
+    def said(self) -> str:
+        return self.done.stderr
+
+    @property
+    def record(self) -> Path:
+        return self.folder / "run-1.mcap"
+
+    @property
+    def events(self) -> list[tuple[str, str]]:
+        return events_of(self.record)
+
+    @property
+    def entries(self) -> list[dict[str, Any]]:
+        """What the session's file says of each record."""
+        return self._tree("session.json")["entries"]
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """The runs of its results."""
+        return self._tree("results.json")["runs"]
+
+    @property
+    def audit(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in (self.folder / "audit.jsonl").read_text("utf-8").splitlines()]
+
+    def _tree(self, name: str) -> Any:
+        return json.loads((self.folder / name).read_text("utf-8"))
+
+
+def run(
+    folder: Path, values: dict[str, str], *words: str | Path, config: str = "demo.toml", **changes: str
+) -> Session:
+    """`rig run` with these keys of a configuration set, also as `section__key`."""
+    values = {**values, **{key.replace("__", "."): value for key, value in changes.items()}}
+    return Session(folder, rig("run", CONFIGS / config, "-o", folder, *words, *set_words(values)))

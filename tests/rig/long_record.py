@@ -14,8 +14,6 @@ from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "demo.toml"
-DAY_SPOTS = 5_184_000
-"""24 h at 60 frames a second."""
 RATE_HZ = 60
 FLUSH_SPOTS = 48
 START_NS = 5_000_000_000

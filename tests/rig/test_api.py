@@ -90,14 +90,13 @@ def test_a_bound_is_one_in_python_too(measured_series: Path) -> None:
     assert "95 %" in str(c)
 
 
-def test_an_uncalibrated_record_says_px() -> None:
-    record = rig.open_record(SAMPLES / "uncalibrated" / "run-1.mcap")
-    assert record.unit == "px"
-    assert record.deflections().unit == "px"
-    assert "amplitude_px" in record.swings().dtype.names
-
-
 UNCALIBRATED = SAMPLES / "uncalibrated" / "run-1.mcap"
+
+
+def test_an_uncalibrated_record_says_px() -> None:
+    record = rig.open_record(UNCALIBRATED)
+    assert record.unit == record.deflections().unit == "px"
+    assert "amplitude_px" in record.swings().dtype.names
 
 
 def test_what_is_not_meant_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -127,40 +126,32 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert found.runs[0].settings["u_ageing"] == 0.25
 
 
-def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_path: Path) -> None:
+def decay(path: Path, name: str, growth_per_s: float = -0.01) -> Path:
+    """A table of half a minute of a swing."""
     time_s = 0.05 * np.arange(600)
-    table = np.column_stack([time_s, 10.0 * np.exp(-0.01 * time_s) * np.cos(2.5 * time_s)])
-    table[:, 1] += 0.01 * np.random.default_rng(1).standard_normal(len(table))
-    np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="time_s,x", comments="")
-    periods = {
-        rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions)["mean_period_s"].value
-        for time, positions in (
-            (None, ()),
-            ("time_s", "x"),
-            (1, 2),
-            (1, [2]),
-            ("1", ["2"]),
-        )
-    }
-    assert len(periods) == 1
+    swing = 10.0 * np.exp(growth_per_s * time_s) * np.cos(2.5 * time_s)
+    swing += 0.01 * np.random.default_rng(1).standard_normal(len(time_s))
+    np.savetxt(path, np.column_stack([time_s, swing]), delimiter=",", header=f"time_s,{name}", comments="")
+    return path
 
 
-def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
-    found = rig.read_results(str(SAMPLES / "first"))
-    rig.write_results(str(tmp_path / "results.json"), found)
-    with pytest.raises(rig.RigError, match="exists already and is not overwritten"):
-        rig.write_results(str(tmp_path / "results.json"), found)
+def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_path: Path) -> None:
+    table, named = decay(tmp_path / "decay.csv", "x"), [("time_s", "x"), (1, 2), (1, [2]), ("1", ["2"])]
+    found = [rig.fit_table(table, "mm", time=time, positions=x) for time, x in ((None, ()), *named)]
+    assert len({one["mean_period_s"].value for one in found}) == 1
 
 
 def test_a_table_that_runs_backwards_is_said_to_be_no_decay(tmp_path: Path) -> None:
-    time_s = 0.05 * np.arange(1200)
-    swing = 10.0 * np.exp(0.01 * time_s) * np.cos(2.5 * time_s)
-    swing += 0.01 * np.random.default_rng(2).standard_normal(len(swing))
-    table = np.column_stack([time_s, swing])
-    np.savetxt(tmp_path / "back.csv", table, delimiter=",", header="time_s,x_mm", comments="")
-    found = rig.fit_table(tmp_path / "back.csv", "mm")
+    found = rig.fit_table(decay(tmp_path / "back.csv", "x_mm", 0.01), "mm")
     assert "quality_factor" not in found.rows
     assert any("is no free decay; is time reversed" in warning for warning in found.runs[0].warnings)
+
+
+def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
+    found, path = rig.read_results(str(SAMPLES / "first")), str(tmp_path / "results.json")
+    rig.write_results(path, found)
+    with pytest.raises(rig.RigError, match="exists already and is not overwritten"):
+        rig.write_results(path, found)
 
 
 def test_every_name_is_there_and_no_other() -> None:
@@ -175,19 +166,15 @@ def test_every_name_is_there_and_no_other() -> None:
 
 
 def test_importing_rig_loads_nothing_and_its_parts_nothing_that_takes_long() -> None:
-    code = "import sys, rig; print(*sys.modules); import rig.measure, rig.view; print(*sys.modules)"
+    """The command line comes before numpy, which would start threads that cost a third of a fit."""
+    modules = ("rig", "rig.cli", "rig.measure, rig.view")
+    code = "import sys; " + "; ".join(f"import {names}; print(*sys.modules)" for names in modules)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    first, then = (set(line.split()) for line in done.stdout.splitlines())
+    first, at_the_command_line, then = (set(line.split()) for line in done.stdout.splitlines())
     assert {"numpy", "pydantic", "matplotlib", "rig.scripting"}.isdisjoint(first)
-    assert {"scipy.stats", "scipy.signal", "scipy.optimize", "matplotlib", "rerun", "pyarrow"}.isdisjoint(
-        then
-    )
-
-
-def test_the_command_line_comes_before_numpy_which_would_start_threads_that_cost_a_third_of_a_fit() -> None:
-    code = "import sys, rig.cli; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert {"numpy", "rich.console"}.isdisjoint(done.stdout.split())
+    assert {"numpy", "rich.console"}.isdisjoint(at_the_command_line)
+    late = {"scipy.stats", "scipy.signal", "scipy.optimize", "matplotlib", "rerun", "pyarrow"}
+    assert late.isdisjoint(then)
 
 
 def test_a_package_of_another_with_one_of_our_names_is_told(tmp_path: Path) -> None:

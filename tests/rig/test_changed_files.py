@@ -108,17 +108,9 @@ def test_a_record(record: tuple[Path, bytes, set[bytes]], wanted: list[tuple[str
     copy.unlink(missing_ok=True)
 
 
-def read_session(path: Path) -> None:
-    SessionFile.opened(path.parent).close()
-
-
 def read_table(path: Path) -> None:
     found = TableColumns(None, (), "arcsec").read(path)
     assert np.all(np.diff(found.times_ns) >= 0)
-
-
-def read_images(path: Path) -> None:
-    read_stack(path.parent)
 
 
 def read_stack(path: Path) -> None:
@@ -130,10 +122,6 @@ def read_stack(path: Path) -> None:
             pass
     finally:
         camera.close()
-
-
-def written_again(path: Path) -> None:
-    json.dumps(encoded(read_results(path)))
 
 
 def stored(kind: str) -> bytes:
@@ -164,12 +152,20 @@ TURN = b'{"utc": "2026-11-22T00:00:00+00:00", "weight": "a", "turns": 0.5, '
 TURN += b'"before": [1.0, 2.0, 3e-6], "after": [1.5, 2.0, 3e-6], "u": [0.1, 0.1, 1e-7]}\n'
 FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "configuration": (SAMPLES / "session.toml", "session.toml", load_configuration),
-    "session": (SAMPLES / "series" / "session.json", "session.json", read_session),
-    "results": (SAMPLES / "series" / "results.json", "results.json", written_again),
+    "session": (
+        SAMPLES / "series" / "session.json",
+        "session.json",
+        lambda path: SessionFile.opened(path.parent).close(),
+    ),
+    "results": (
+        SAMPLES / "series" / "results.json",
+        "results.json",
+        lambda path: json.dumps(encoded(read_results(path))),
+    ),
     "calibration": (SAMPLES / "calibrations" / "lever-001.toml", "lever-001.toml", read_calibration),
     "table": (SAMPLES / "decay.csv", "decay.csv", read_table),
-    "PGM": (b"P5 16 12 255\n" + bytes(range(192)), "frame0.pgm", read_images),
-    "PNG": (stored("png"), "frame0.png", read_images),
+    "PGM": (b"P5 16 12 255\n" + bytes(range(192)), "frame0.pgm", lambda path: read_stack(path.parent)),
+    "PNG": (stored("png"), "frame0.png", lambda path: read_stack(path.parent)),
     "TIFF stack": (stored("tiff"), "frames.tiff", read_stack),
     "NumPy stack": (stored("npy"), "frames.npy", read_stack),
     "ladder": (LADDER, "ladder.toml", lambda path: read_input(path, LadderFile)),
@@ -180,7 +176,7 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     ),
     "ground": (GROUND, "ground.csv", read_ground_file),
     "turned weights": (2 * TURN, "weights.jsonl", read_turns),
-    "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
+    "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", lambda path: read_stack(path.parent)),
 }
 
 

@@ -5,18 +5,19 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Iterator
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache
 from numbers import Real
 from typing import Any
 
-from tests.validation.row import Found, Measurement, Missing
+from tests.validation.row import Found, Missing
 
 PACKAGES = {"nexus": ("nexusformat", ".[bench]"), "spot_beams": ("cv2", ".")}
 """What a benchmark cannot do without, and where pip finds it."""
 
 
 @cache
-def _ran(name: str, part: str = "", argument: int = False, seeds: int = 0, only: tuple[str, ...] = ()) -> Any:
+def _ran(name: str, part: str, argument: int, seeds: int, only: tuple[str, ...]) -> Any:
     module, place = PACKAGES.get(name, ("numpy", "."))
     if importlib.util.find_spec(module) is None:
         raise Missing(f'{module}: pip install "{place}"')
@@ -53,20 +54,57 @@ def _numbers(value: Any) -> Iterator[float]:
         yield float(value)
 
 
-def _measured(
-    name: str,
-    part: str,
-    argument: int,
-    seeds: int,
-    keys: tuple[str, ...],
-    only: tuple[str, ...],
-    factor: float,
-) -> dict[str, Found]:
-    found = _ran(name, part, argument, seeds, only)
-    values = tuple(factor * value for key in keys for value in numbers_at(found, key))
-    if not values:
-        raise Missing(f"the benchmark {name} gave no {', '.join(keys)} here: {_why(found)}")
-    return {"number": Found(values, _seeds(found))}
+@dataclass(frozen=True)
+class Benchmark:
+    """A measurement by `tests.benchmarks.bench_NAME`: all numbers that its results have at `keys`.
+
+    Attributes
+    ----------
+    part, argument
+        A function of it that is called in place of all, with what: ``quick`` by default.
+    seeds
+        How many of each case are taken, where it is not the benchmark's own number.
+    only
+        Words of names of cases, of which all are meant without them.
+    is_pooled
+        Shares of all cases together, by parameter: with few seeds of each, one says little.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    part: str = ""
+    argument: int = False
+    seeds: int = 0
+    only: tuple[str, ...] = ()
+    factor: float = 1.0
+    is_pooled: bool = False
+
+    def __call__(self) -> dict[str, Found]:
+        found = _ran(self.name, self.part, self.argument, self.seeds, self.only)
+        if self.is_pooled:
+            return {"number": self._pooled(found["cases"])}
+        values = tuple(self.factor * value for key in self.keys for value in numbers_at(found, key))
+        if not values:
+            raise Missing(f"the benchmark {self.name} gave no {', '.join(self.keys)} here: {_why(found)}")
+        counts = sorted({f"{count:.0f}" for count in numbers_at(found, "seeds")}, key=int)
+        seeds = f"{' to '.join(dict.fromkeys([counts[0], counts[-1]]))} seeds" if counts else ""
+        return {"number": Found(values, seeds)}
+
+    def _pooled(self, cases: Any) -> Found:
+        shares, counts = pooled_shares(cases, *self.keys)
+        number = " to ".join(str(count) for count in dict.fromkeys([min(counts), max(counts)]))
+        detail = f"{len(counts)} cases of {number} seeds, together {sum(counts)}"
+        return Found(tuple(self.factor * share for share in shares.values()), detail)
+
+
+def benchmark(name: str, *keys: str, **how: Any) -> Benchmark:
+    """Numbers of a benchmark."""
+    return Benchmark(name, keys, **how)
+
+
+def pooled(name: str, key: str, *, seeds: int, only: tuple[str, ...] = ()) -> Benchmark:
+    """Shares in per cent of all cases of a benchmark together, by parameter."""
+    return Benchmark(name, (key,), seeds=seeds, only=only, factor=100.0, is_pooled=True)
 
 
 def _why(found: Any) -> str:
@@ -77,29 +115,6 @@ def _why(found: Any) -> str:
         if "not measured" in key or key == "skipped"
     ]
     return "; ".join(said) or "no reason is stated"
-
-
-def _seeds(found: Any) -> str:
-    counts = sorted({round(count) for count in numbers_at(found, "seeds")})
-    return f"{' to '.join(str(count) for count in {counts[0]: 0, counts[-1]: 0})} seeds" if counts else ""
-
-
-def benchmark(
-    name: str,
-    *keys: str,
-    part: str = "",
-    argument: int = False,
-    seeds: int = 0,
-    only: tuple[str, ...] = (),
-    factor: float = 1.0,
-) -> Measurement:
-    """Numbers of `tests.benchmarks.bench_NAME`: all that its results have at `keys`.
-
-    `part` names a function of it that is called in place of all, with `argument`, ``quick`` by default;
-    `seeds` is how many of each case are taken, where it is not the benchmark's own number; `only` are words
-    of names of cases, of which all are meant without them.
-    """
-    return partial(_measured, name, part, argument, seeds, keys, only, factor)
 
 
 def pooled_shares(cases: Any, key: str) -> tuple[dict[str, float], list[int]]:
@@ -120,24 +135,9 @@ def pooled_shares(cases: Any, key: str) -> tuple[dict[str, float], list[int]]:
     return {name: number / sum(counts) for name, number in held.items()}, counts
 
 
-def _pooled(name: str, key: str, seeds: int, only: tuple[str, ...]) -> dict[str, Found]:
-    shares, counts = pooled_shares(_ran(name, seeds=seeds, only=only)["cases"], key)
-    number = f"{counts[0]}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
-    detail = f"{len(counts)} cases of {number} seeds, together {sum(counts)}"
-    return {"number": Found(tuple(100.0 * share for share in shares.values()), detail)}
-
-
-def pooled(name: str, key: str, *, seeds: int, only: tuple[str, ...] = ()) -> Measurement:
-    """Shares in per cent of all cases together, by parameter: with few seeds of each, one says little.
-
-    `only` are words of names of cases; without them all are meant.
-    """
-    return partial(_pooled, name, key, seeds, only)
-
-
 def peers() -> dict[str, Found]:
     """Other programs on the same windows: their time and their scatter over this tracker's."""
-    found = _ran("spot_speed", "peers")
+    found = _ran("spot_speed", "peers", False, 0, ())
     own = found["this tracker"]["scatter_mpx"]
     others = {
         name: numbers

@@ -4,15 +4,16 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from tests.acquisition.record.samples import write_sample
 from tests.validation import __main__ as program
 from tests.validation import figure, page
-from tests.validation.benchmarks import _measured, _pooled, numbers_at, pooled_shares
+from tests.validation.benchmarks import Benchmark, numbers_at, pooled_shares
 from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
 from tests.validation.outside import mcap_records
@@ -30,22 +31,14 @@ search that went on for what is promised would end those fits without a result.
 """
 
 
-def test_the_page_follows_from_what_is_kept() -> None:
-    assert page.FILE.read_text(encoding="utf-8") == page.page_of(ROWS, read_kept(), NOT_TESTED), (
+def test_page_and_figure_follow_from_what_is_kept() -> None:
+    kept = read_kept()
+    assert page.FILE.read_text(encoding="utf-8") == page.page_of(ROWS, kept, NOT_TESTED), (
         "make validation ARGS=--page"
     )
-
-
-def test_what_is_kept_is_of_rows_that_exist() -> None:
-    kept = read_kept()
-    assert set(kept) <= {row.name for row in ROWS}
     assert len({row.name for row in ROWS}) == len(ROWS)
     # a quick row is measured before it lands
-    assert {row.name for row in QUICK} <= set(kept)
-
-
-def test_the_figure_has_every_share_that_is_kept() -> None:
-    kept = read_kept()
+    assert {row.name for row in QUICK} <= set(kept) <= {row.name for row in ROWS}
     drawn = figure.FILE.read_text(encoding="utf-8")
     assert figure.coverage_svg(ROWS, kept)
     for row in ROWS:
@@ -79,48 +72,38 @@ def _source_of_benchmark(name: str) -> str:
 
 def test_benchmarks_have_the_numbers_that_rows_look_for() -> None:
     """Otherwise that is known only after the hours which they take."""
-    missing, looked_for = [], 0
-    for row in ROWS:
-        measure = row.measure
-        if not isinstance(measure, partial) or measure.func not in (_measured, _pooled):
-            continue
-        name, *_ = measure.args
-        keys = measure.args[4] if measure.func is _measured else (measure.args[1],)
-        source = _source_of_benchmark(name)
-        for key in keys:
-            looked_for += 1
-            # one half of a name may be put in by a loop
-            halves = {key, key.rpartition(": ")[2], key.partition(", ")[2] or key}
-            words = "|".join(map(re.escape, halves))
-            if not re.search(rf"""["':}}] ?,? ?({words})["']|\b({words})=""", source):
-                missing.append(f"{row.name}: {key}")
-    assert missing == []
-    assert looked_for > len(ROWS) // 2
+    looked_for = [
+        (row.measure.name, key)
+        for row in ROWS
+        if isinstance(row.measure, Benchmark)
+        for key in row.measure.keys
+    ]
+    for name, key in looked_for:
+        # one half of a name may be put in by a loop
+        halves = {key, key.rpartition(": ")[2], key.partition(", ")[2] or key}
+        words = "|".join(map(re.escape, halves))
+        found = re.search(rf"""["':}}] ?,? ?({words})["']|\b({words})=""", _source_of_benchmark(name))
+        assert found, f"{name}: {key}"
+    assert len(looked_for) > len(ROWS) // 2
 
 
-def _row(measure: Callable[[], dict[str, Found]], **changes: object) -> Row:
+def _row(measure: Callable[[], dict[str, Found]] = dict, **changes: object) -> Row:
     row = Row("some-row", "Group", "A claim", "means", measure, "number", "m", Limit(high=2.0), quick=True)
     return replace(row, **changes)  # type: ignore[arg-type]
-
-
-def _kept(*values: float) -> Kept:
-    return Kept(values, "two seeds", "2026-01-02", "abc1234", "Linux", 3.0)
 
 
 @pytest.mark.parametrize(
     ("values", "shown"), [((1.5,), "1.5 m"), ((1.0, 2.0), "1 to 2 m"), ((1.0, 2.5), "**1 to 2.5 m**")]
 )
 def test_what_falls_short_is_bold(values: tuple[float, ...], shown: str) -> None:
-    text = page.page_of([_row(dict)], {"some-row": _kept(*values)}, ())
+    kept = {"some-row": Kept(values, "two seeds", "2026-01-02", "abc1234", "Linux", 3.0)}
+    text = page.page_of([_row()], kept, ())
     assert f"| {shown}; two seeds | ≤ 2 m | 2026-01-02 |" in text
     assert ("1 short of them (`some-row`)" in text) is shown.startswith("**")
 
 
-def test_a_row_that_was_not_run_has_no_number() -> None:
-    assert "| not run on this commit | ≤ 2 m | |" in page.page_of([_row(dict)], {}, ())
-
-
 def test_no_number_is_not_within_a_limit() -> None:
+    assert "| not run on this commit | ≤ 2 m | |" in page.page_of([_row()], {}, ())
     assert not Limit(0.0, 1.0).holds(())
     assert not Limit(0.0, 1.0).holds((0.5, float("nan")))
 
@@ -132,6 +115,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(program, "write_kept", lambda kept: write_kept(kept, tmp_path / "kept.json"))
     monkeypatch.setattr(page.write_page, "__defaults__", (tmp_path / "page.md",))
     monkeypatch.setattr(figure, "FILE", tmp_path / "figure.svg")
+    monkeypatch.setattr("sys.argv", ["validation"])
     return tmp_path
 
 
@@ -151,10 +135,10 @@ def test_an_ended_run_goes_on_where_it_was(
             raise KeyboardInterrupt
         return {"number": Found((3.0,), "")}
 
-    def fails() -> dict[str, Found]:
+    def fails() -> NoReturn:
         raise ValueError("no number")
 
-    def missing() -> dict[str, Found]:
+    def missing() -> NoReturn:
         raise Missing("a library")
 
     rows = (
@@ -162,28 +146,23 @@ def test_an_ended_run_goes_on_where_it_was(
         _row(ends, name="other-row"),
         _row(missing, name="third"),
         _row(fails, name="last"),
+        _row(lambda: {"number": Found((1.0,), "said")}, name="fast", group=SPEED),
     )
     monkeypatch.setattr(program, "ROWS", rows)
-    monkeypatch.setattr("sys.argv", ["validation"])
     with pytest.raises(KeyboardInterrupt):
         program.main()
     assert list(read_kept(place / "kept.json")) == ["some-row"]
     assert program.main() == 1
     assert called == ["first", "second", "second"]
-    assert set(read_kept(place / "kept.json")) == {"some-row", "other-row"}
+    kept = read_kept(place / "kept.json")
+    assert set(kept) == {"some-row", "other-row", "fast"}
+    assert kept["fast"].detail.startswith("said; load ")
+    assert kept["other-row"].detail == ""
     assert "**3 m**" in (place / "page.md").read_text(encoding="utf-8")
     assert "last: A claim\n  failed: ValueError: no number\n" in capsys.readouterr().out
     monkeypatch.setattr("sys.argv", ["validation", "--again", "some"])
     assert program.main() == 0
     assert called[3:] == ["first"]
-
-
-def test_a_speed_is_kept_with_the_load(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = (_row(lambda: {"number": Found((1.0,), "said")}, group=SPEED),)
-    monkeypatch.setattr(program, "ROWS", rows)
-    monkeypatch.setattr("sys.argv", ["validation"])
-    assert program.main() == 0
-    assert read_kept(place / "kept.json")["some-row"].detail.startswith("said; load ")
 
 
 def test_a_word_that_means_no_row_is_named() -> None:
@@ -200,7 +179,7 @@ def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
     back = read_kept(tmp_path / "kept.json")
     assert list(back) == ["a", "b"]
     assert back["a"] == found
-    assert found.values == (1.23457, 2.0)
+    assert (found.values, found.cpu_s) == ((1.23457, 2.0), 0.1)
     # one row a line, so that rows of two machines merge
     assert len((tmp_path / "kept.json").read_text().splitlines()) == 4
     assert json.loads((tmp_path / "kept.json").read_text())["a"]["detail"] == "said"
@@ -223,17 +202,25 @@ def test_distances_are_in_printed_digits() -> None:
     assert units_off(50000838.4, "50000838") == pytest.approx(0.4)
 
 
-def test_numbers_are_found_below_their_names() -> None:
+def test_numbers_of_benchmarks_are_found_and_pooled() -> None:
     found = {"cases": [{"one_u": {"b": 0.7, "c": 0.6}}, {"one_u": [0.5], "other": 3}], "one_u": True}
     assert list(numbers_at(found, "one_u")) == [0.7, 0.6, 0.5]
     assert list(numbers_at(found, "other")) == [3.0]
-
-
-def test_seeds_of_all_cases_count_together() -> None:
     few, many = {"one_u": {"b": 1.0}, "seeds": 4, "failed": 2}, {"one_u": {"b": 0.5}, "seeds": 6}
     assert pooled_shares([few, many], "one_u") == ({"b": 0.625}, [2, 6])
     assert pooled_shares([{"right": 0.5, "seeds": 2}], "right") == ({"0": 0.5}, [2])
     assert pooled_shares([{"one_u": [0.5, 1.0], "seeds": 2}], "one_u")[0] == {"0": 0.5, "1": 1.0}
+
+
+def test_what_a_benchmark_measured_is_told_with_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases = [{"one_u": {"b": 1.0}, "seeds": 10, "failed": 2}, {"one_u": {"b": 0.5}, "seeds": 8}]
+    monkeypatch.setattr("tests.validation.benchmarks._ran", lambda *_: {"cases": cases, "skipped": "no rig"})
+    each = Benchmark("any", ("one_u",), factor=100.0)
+    assert each()["number"] == Found((100.0, 50.0), "8 to 10 seeds")
+    together = replace(each, is_pooled=True)
+    assert together()["number"] == Found((75.0,), "2 cases of 8 seeds, together 16")
+    with pytest.raises(Missing, match="any gave no pull here: no rig"):
+        replace(each, keys=("pull",))()
 
 
 def test_the_limit_of_a_share_follows_from_the_number_of_cases() -> None:

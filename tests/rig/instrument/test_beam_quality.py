@@ -100,8 +100,7 @@ def test_light_that_stays_where_it_is_is_a_caution() -> None:
 
 def test_a_good_beam_is_go_with_its_numbers() -> None:
     verdict = judged(good, 140)
-    assert verdict.ok
-    assert not verdict.remedy
+    assert (verdict.ok, verdict.remedy) == (True, "")
     assert verdict.measured.startswith("one Gaussian, χ²/dof 0.95")
     assert "POOR_FIT in 0 % of frames" in verdict.measured
     assert verdict.line.startswith("beam quality: go, one Gaussian")
@@ -109,27 +108,25 @@ def test_a_good_beam_is_go_with_its_numbers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("beam", "reason", "ok"),
+    ("beam", "x_px", "ok", "reason", "remedy"),
     [
-        (ghost, "a second spot or ghost: 5", True),
-        (grazed, "something cuts it: ", True),
-        (cut, "something cuts it: ", False),
-        (donut, "hollow: ", True),
-        (ragged, "ragged: ", True),
+        (ghost, 60.0, True, "a second spot or ghost: 5", ""),
+        (grazed, 60.0, True, "something cuts it: ", ""),
+        (cut, 60.0, False, "something cuts it: ", ""),
+        (donut, 60.0, True, "hollow: ", ""),
+        (ragged, 60.0, True, "ragged: ", ""),
+        (good, 8.0, False, "edge of the sensor", ""),
+        (lambda x, y: np.zeros(SHAPE), 60.0, False, "", "find the spot first"),
     ],
 )
-def test_what_is_wrong_with_a_beam_is_named(beam: Light, reason: str, ok: bool) -> None:
-    verdict = judged(beam, 3)
+def test_what_is_wrong_with_a_beam_is_named(
+    beam: Light, x_px: float, ok: bool, reason: str, remedy: str
+) -> None:
+    verdict = judged(beam, 3, x_px)
     assert verdict.ok is ok
     assert reason in verdict.reason
     assert verdict.remedy
-
-
-def test_the_edge_of_the_sensor_and_no_spot_are_no_go() -> None:
-    assert "edge of the sensor" in judged(good, x_px=8.0).reason
-    verdict = judged(lambda x, y: np.zeros(SHAPE))
-    assert not verdict.ok
-    assert verdict.remedy == "find the spot first"
+    assert remedy in verdict.remedy
 
 
 def test_a_learned_profile_that_fits_is_caution_and_one_that_does_not_is_no_go() -> None:
@@ -137,18 +134,15 @@ def test_a_learned_profile_that_fits_is_caution_and_one_that_does_not_is_no_go()
     assert learned.ok
     assert learned.remedy
     assert learned.measured.startswith("learned profile, χ²/dof ")
-    spot = SpotTracker(LIT_EIGHT_BIT).track(
-        exposed(good(60, 54), np.random.default_rng(1), sensor=LIT_EIGHT_BIT)
-    )
+    image = exposed(good(60, 54), np.random.default_rng(1), sensor=LIT_EIGHT_BIT)
+    spot, limits = SpotTracker(LIT_EIGHT_BIT).track(image), PreflightSettings()
     changing = [spot._replace(chi2_per_dof=9.0, flags=SpotFlag.LEARNED | SpotFlag.POOR_FIT)] * 50
-    verdict = beam_quality([], changing, SpotModel.LEARNED, 255.0, PreflightSettings())
-    assert not verdict.ok
-    assert verdict.reason == "no model fits"
+    verdict = beam_quality([], changing, SpotModel.LEARNED, 255.0, limits)
+    assert (verdict.ok, verdict.reason) == (False, "no model fits")
     assert "POOR_FIT in 100 % of frames" in verdict.measured
     mild = [spot._replace(chi2_per_dof=1.8, flags=SpotFlag.POOR_FIT)] * 50
-    assumed = beam_quality([], mild, SpotModel.ONE, 255.0, PreflightSettings(), noise_is_known=False)
-    assert assumed.ok
-    assert assumed.remedy == "rig calibrate sensor"
+    assumed = beam_quality([], mild, SpotModel.ONE, 255.0, limits, noise_is_known=False)
+    assert (assumed.ok, assumed.remedy) == (True, "rig calibrate sensor")
 
 
 LIMITS = BalanceLimits()

@@ -2,8 +2,7 @@
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -17,18 +16,9 @@ __all__ = ["micropython"]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
-@contextmanager
-def board_at(package: Path, folder: Path) -> Iterator[FirmwareBoard]:
-    board = FirmwareBoard(package, folder)
-    try:
-        yield board
-    finally:
-        board.close()
-
-
 def test_ended_before_the_record_nothing_is_offered_to_go_on_with(micropython: Path, tmp_path: Path) -> None:
     log, out = tmp_path / "said", tmp_path / "out"
-    with board_at(micropython, tmp_path) as board:
+    with closing(FirmwareBoard(micropython, tmp_path)) as board:
         words = command(out, board, preflight__when='"always"', preflight__duration_s="30")
         with running(words, log) as process:
             wait_for(board, lambda: lit(board), log)

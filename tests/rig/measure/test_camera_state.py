@@ -4,8 +4,6 @@ import json
 import struct
 from pathlib import Path
 
-import pytest
-
 from acquisition.camera import CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.record.reader import RecordReader
@@ -13,11 +11,12 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.instrument import optics_of
 from rig.measure.run import MeasurementRun
-from rig.measure.run_parts import RunOutcome, RunPlan
+from rig.measure.run_parts import RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.rig.command_line import events_of
 
 ONE_SECOND = Configuration(
     camera={"driver": "simulated"}, session={"max_duration_s": 1.0, "final_amplitude_arcsec": 1e-9}
@@ -32,8 +31,12 @@ class CannotStop(Usb3VisionCamera):
         raise OSError("it does not answer")
 
 
-def recorded(camera: Usb3VisionCamera, record: Path) -> RunOutcome:
-    """A run of a second."""
+def test_features_are_in_the_record_and_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(
+    tmp_path: Path,
+) -> None:
+    device, record = VisionDevice(frames_inside=100_000), tmp_path / "run.mcap"
+    device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
+    camera = CannotStop(backend=InProcessBackend(device))
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, camera.open(), (), camera.configure(asked), 100_000)
     outcome = MeasurementRun(
@@ -44,34 +47,19 @@ def recorded(camera: Usb3VisionCamera, record: Path) -> RunOutcome:
         devices=Devices(ONE_SECOND),
     ).execute()
     assert outcome.failure is None
-    return outcome
-
-
-def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    outcome = recorded(CannotStop(backend=InProcessBackend(VisionDevice(frames_inside=100_000))), path)
     assert outcome.last.reason == "time limit of 1 s reached"
-    with RecordReader(path) as reader:
-        said = [(event.kind, event.text) for event in reader.events()]
-    assert said[-2] == ("camera stop", "camera: stop() failed: OSError: it does not answer")
-    assert said[-1] == ("stop", "time limit of 1 s reached")
-
-
-@pytest.mark.slow
-def test_features_with_the_temperature_are_in_the_record(tmp_path: Path) -> None:
-    device = VisionDevice(frames_inside=100_000)
-    device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
-    camera, record = Usb3VisionCamera(backend=InProcessBackend(device)), tmp_path / "run.mcap"
-    recorded(camera, record)
-    camera.close()
+    assert events_of(record)[-2:] == [
+        ("camera stop", "camera: stop() failed: OSError: it does not answer"),
+        ("stop", "time limit of 1 s reached"),
+    ]
     with RecordReader(record) as reader:
-        at = {
-            when: json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")
-        }
+        start, end = (
+            json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")
+        )
         applied = reader.metadata["camera_settings"]
-    assert at["start"]["Gain"] == at["end"]["Gain"] == -6.0
-    assert at["start"]["ExposureAuto"] == "Off"
-    assert len(at["end"]) > 15
-    assert {features["DeviceTemperature"] for features in at.values()} == {41.5}
+    assert start["Gain"] == end["Gain"] == -6.0
+    assert start["ExposureAuto"] == "Off"
+    assert len(end) > 15
+    assert start["DeviceTemperature"] == end["DeviceTemperature"] == 41.5
     assert (applied["gain_db"], applied["exposure_us"]) == ("-6.0", "200.0")
     assert (applied["stamped"], applied["time_shift_ns"]) == ("start", "100000")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,7 @@ from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.measure import RunState, session_summary
 from rig.measure.session_file import SessionFile
-
-SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+from tests.rig.command_line import SAMPLES
 
 
 def test_a_result_with_what_limits_it_and_what_to_do() -> None:
@@ -29,8 +29,7 @@ def test_a_run_that_was_stopped_too_early_hides_no_result_before_it(tmp_path: Pa
     folder = tmp_path / "two"
     shutil.copytree(SAMPLES / "first", folder)
     results = json.loads((folder / "results.json").read_text("utf-8"))
-    short = {**results["runs"][-1], "record": "run-2.mcap", "problem": "4 usable half-cycles"}
-    results["runs"].append(short)
+    results["runs"].append({**results["runs"][-1], "record": "run-2.mcap", "problem": "4 usable half-cycles"})
     (folder / "results.json").write_text(json.dumps(results), "utf-8")
     found = session_summary(folder)
     assert found.headline == session_summary(SAMPLES / "first").headline
@@ -44,16 +43,12 @@ def test_all_results_of_a_series_are_those_of_the_series(measured_series: Path) 
     assert [text for _, text in found.other_results] == [row.text for row in results.series.table]
 
 
-def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
-    file = SessionFile.create(tmp_path, tmp_path / "rig.toml", 2, {})
-    file.note(1, "run-1.mcap", RunState.RECORDING)
-    file.close()
+def test_a_session_that_was_killed_is_to_be_resumed_and_what_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no session"):
+        session_summary(tmp_path)
+    with closing(SessionFile.create(tmp_path, tmp_path / "rig.toml", 2, {})) as file:
+        file.note(1, "run-1.mcap", RunState.RECORDING)
     found = session_summary(tmp_path)
     assert found.ended is RunState.INTERRUPTED
     assert found.next_steps[0] == "measure the missing runs: Runs, Resume"
     assert (found.headline, found.report) == ("", None)
-
-
-def test_no_session_is_no_hand_over(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="no session"):
-        session_summary(tmp_path)

@@ -6,10 +6,9 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.units import ARCSEC_RAD
-from tests.rig.command_line import CONFIGS, SMALL, events_of, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, rig, run, set_words
 
 pytestmark = pytest.mark.slow
-
 
 MAGNET = {
     **SMALL,
@@ -24,30 +23,27 @@ MAGNET = {
 
 
 def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    done = rig("run", CONFIGS / "live.toml", "-o", folder, *set_words(MAGNET))
-    assert "Traceback" not in done.stderr
-    assert (folder / "run-1.mcap").exists(), done.stderr
-    with RecordReader(folder / "run-1.mcap") as reader:
+    session = run(tmp_path / "out", MAGNET, config="live.toml")
+    assert "Traceback" not in session.said
+    assert session.record.exists(), session.said
+    with RecordReader(session.record) as reader:
         swings = [swing for swing in reader.swings() if swing.flags == 0]
-    events = events_of(folder / "run-1.mcap")
-    kinds = [kind for kind, _ in events]
+    kinds, texts = [kind for kind, _ in session.events], dict(session.events)
     assert kinds.count("rest") == 2  # free, then held
     assert kinds.index("preflight") < kinds.index("magnet") < kinds.index("release") < kinds.index("start")
-    held_arcsec = float(dict(events)["magnet"].removeprefix("holds the pendulum at ").split()[0])
+    held_arcsec = float(texts["magnet"].removeprefix("holds the pendulum at ").split()[0])
     # where it was held it starts from: 124 arcsec, less the first quarter cycle's loss and noise
     assert held_arcsec == pytest.approx(124.0, abs=0.5)
     assert swings[0].amplitude / ARCSEC_RAD == pytest.approx(held_arcsec, rel=0.02)
-    assert dict(events)["stop"].startswith("time limit")
+    assert texts["stop"].startswith("time limit")
 
 
 def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
     # held at 2 arcsec: less than what counts as motion
-    weak = {**MAGNET, "simulation.release.amplitude_arcsec": "2"}
-    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(weak))
-    assert done.returncode == 1
-    assert "the magnet does not hold the pendulum" in done.stderr
-    assert not list((tmp_path / "out").glob("*.mcap"))
+    weak = run(tmp_path / "out", MAGNET, config="live.toml", simulation__release__amplitude_arcsec="2")
+    assert weak.done.returncode == 1
+    assert "the magnet does not hold the pendulum" in weak.said
+    assert not list(weak.folder.glob("*.mcap"))
 
 
 @pytest.mark.parametrize("rate_hz", [25, 100])

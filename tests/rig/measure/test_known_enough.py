@@ -1,6 +1,6 @@
 """Runs that end by what they know, what the screen says of it, and who ended a run."""
 
-import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,10 +20,12 @@ from acquisition.record.topics import (
 )
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from processing.swing import HalfCycle
 from rig.control import Light
 from rig.devices import FrameStream
 from rig.instrument import Phase, RunNow, piece_contents
 from rig.interruption import BY_USER
+from rig.measure import end_of_run, record_plainly
 from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun, StopRequest
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome
@@ -37,30 +39,41 @@ from tests.rig.view.rrd_contents import column
 
 WHEN = (StopCondition("c", 0.03), StopCondition("b", 0.01))
 KNOWN = {"c": Estimate(1e-8, 2.5e-10), "b": Estimate(37e-4, 0.2e-4)}
+NOT_C, NOT_B = {**KNOWN, "c": Estimate(1e-8, 4e-10)}, {**KNOWN, "b": Estimate(37e-4, 1e-4)}
 
 
-def test_a_run_ends_once_all_conditions_hold() -> None:
+@pytest.mark.parametrize(
+    "before",
+    [
+        [],
+        # fits that know too little, and fits that are none
+        [None, {}, NOT_B],
+        # one fit is asked about with every block of frames, and counts once
+        [KNOWN] * 20 + [NOT_C],
+        # a lucky dip: one that fails begins anew
+        [dict(KNOWN), dict(KNOWN), NOT_C],
+    ],
+)
+def test_a_run_ends_once_all_conditions_hold_in_fits_in_a_row(before: list[Any]) -> None:
     end = EndOfRun(0.0, 1e3, WHEN)
-    assert end.reason([], 1.0) is None
-    assert end.reason([], 1.0, {}) is None
-    assert end.reason([], 1.0, {**KNOWN, "b": Estimate(37e-4, 1e-4)}) is None
-    for _ in range(CONSECUTIVE_FITS - 1):
-        assert end.reason([], 1.0, dict(KNOWN)) is None
+    for fit in (*before, *(dict(KNOWN) for _ in range(CONSECUTIVE_FITS - 1))):
+        assert end.reason([], 1.0, fit) is None
     assert end.reason([], 1.0, dict(KNOWN)) == (
         "known well enough: u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
     )
-    assert EndOfRun(0.0, 1e3).reason([], 1.0, KNOWN) is None
 
 
-def test_a_lucky_dip_does_not_end_a_run() -> None:
-    """One fit is asked about with every block of frames, and counts once; one that fails begins anew."""
-    end = EndOfRun(0.0, 1e3, WHEN)
-    unlucky = {**KNOWN, "c": Estimate(1e-8, 4e-10)}
-    for _ in range(20):
-        assert end.reason([], 1.0, KNOWN) is None
-    for fit in (dict(KNOWN), dict(KNOWN), unlucky, dict(KNOWN), dict(KNOWN), dict(KNOWN)):
-        assert end.reason([], 1.0, fit) is None
-    assert end.reason([], 1.0, dict(KNOWN)) is not None
+def test_a_run_ends_below_its_amplitude_or_at_its_time_limit() -> None:
+    def half_cycle(amplitude: float) -> HalfCycle:
+        return HalfCycle(0, 0, 1e-6, amplitude, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
+
+    end = EndOfRun(2.0, 1e3)
+    # one or two that are disturbed do not end it
+    below, above = half_cycle(1.9), half_cycle(2.0)
+    assert end.reason([above, below, below], 1.0, KNOWN) is None
+    assert end.reason([above, below], 999.9) is None
+    assert end.reason([below, below], 1.0) == "final amplitude reached"
+    assert EndOfRun(0.0, 1e3).reason([half_cycle(0.1)] * 9, 1e3) == "time limit of 1000 s reached"
 
 
 def test_the_screen_says_what_is_known_and_what_the_end_waits_for() -> None:
@@ -96,33 +109,29 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
         return outcomes[-1]
 
     monkeypatch.setattr(MeasurementRun, "execute", kept)
+    monkeypatch.setattr(end_of_run, "CONSECUTIVE_FITS", 2)
     wanted = {**SMALL, "camera.frame_rate_hz": "25", "session.stop_when": '["u(p)/p < 0.9"]'}
-    source, folder = CONFIGS / "demo.toml", tmp_path / "out"
-    record = folder / "run-1.mcap"
-    assert measure_session(configured(wanted, source), source, folder) == 0
-    (run,) = json.loads((folder / "results.json").read_text())["runs"]
-    assert run["ended"].startswith("known well enough: u(p)/p = 0.")
-    assert run["ended"].endswith(" < 0.9")
-    # fits of 40, 42, 44 and 46 half-cycles; the turning point of one is known some frames after it
-    assert 46 <= run["half_cycles"] <= 48
-    show_record(record, rrd=folder / "run-1.rrd")
-    _, drawn = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
+    record = tmp_path / "run-1.mcap"
+    assert record_plainly(configured(wanted), CONFIGS / "demo.toml", record) == 0
+    show_record(record, rrd=tmp_path / "run-1.rrd")
+    _, drawn = column(tmp_path / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
     assert drawn[0][0] == pytest.approx(4.071, rel=0.02)
     # who reads the record sees what the screen has shown; that it is closed it cannot say
     last = replace(outcomes[0].last, phase=Phase.CLOSING)
     shown, read = (plain_values(asdict(one)) for one in (last, read_again(record)))
     assert shown == read
     with RecordReader(record) as reader:
-        assert reader.events()[-1].text == run["ended"]
+        ended = reader.events()[-1].text
         phases, lights = reader.values(RecordedPhase), reader.values(RecordedLight)
         healths, estimates = reader.values(RecordedHealth), reader.values(RecordedEstimate)
         points = reader.values(RecordedFittedPoint)
-        levels = {
-            EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
-        }
+        decoded = [EVENT.decode(one.data) for one in reader.messages(EVENT.topic)]
         frames, swings = len(reader.spots()), reader.swings()
     assert [one.phase for one in phases] == [Phase.MEASURING, Phase.CLOSING]
-    assert phases[-1].reason == run["ended"]
+    assert re.fullmatch(r"known well enough: u\(p\)/p = 0\.\d+ < 0\.9", ended)
+    assert phases[-1].reason == ended
+    # fits of 40 and 42 half-cycles; the turning point of one is known some frames after it
+    assert 42 <= len(swings) <= 46
     # this rig controls no laser
     assert (lights[-1].light, lights[-1].trip) == (Light.UNKNOWN, 0)
     # with the first block of at most 64 frames after each second, and at the end
@@ -131,10 +140,11 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
     assert max(apart_s) <= 1.0 + 64 / 25
     assert np.isnan(healths[-1].frame_age_s)
     assert healths[-1].frames == pytest.approx(frames, abs=200)
+    levels = {event[1]: event[3] for event in decoded}
     assert levels["start"] == levels["stop"] == Severity.INFORMATION
     fitted = [one for one in estimates if one.time_ns == estimates[-1].time_ns]
     assert {"b", "c"} <= {one.quantity for one in fitted}
-    assert 46 <= fitted[0].half_cycles <= len(swings)
+    assert 42 <= fitted[0].half_cycles <= len(swings)
     beside = [one for one in points if one.time_ns == points[-1].time_ns]
     assert len(beside) == fitted[0].half_cycles
 
@@ -155,9 +165,8 @@ def test_a_rig_that_fits_no_contact_is_told_before_it_measures(
 ) -> None:
     source = CONFIGS / "demo.toml"
     config = load_configuration(source, ['session.stop_when=["u(c)/c < 0.03"]', *overrides])
-    with pytest.raises(
-        ConfigurationError, match=f"session.stop_when needs the contact's parameters: {message}"
-    ):
+    said = f"session.stop_when needs the contact's parameters: {message}"
+    with pytest.raises(ConfigurationError, match=said):
         measure_session(config, source, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

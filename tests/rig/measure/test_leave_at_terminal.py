@@ -1,18 +1,17 @@
 """At a real terminal: only the number of the trip and Enter acknowledge, only `light` and Enter light."""
 
-import json
 import signal
 from pathlib import Path
 
 import pytest
 
-from tests.rig.command_line import AT_ONCE, CONFIGS, SMALL, set_words
+from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, Session, set_words
 from tests.rig.pseudo_terminal import Terminal
 
 pytestmark = pytest.mark.timeout(300)
 
 WAITING = {
-    **SMALL,
+    **QUICK,
     **AT_ONCE,
     "session.max_duration_s": "60",
     "laser.when_dark": '"wait"',
@@ -23,14 +22,15 @@ WAITING = {
 }
 
 
-def said(folder: Path) -> list[str]:
-    return [json.loads(line)["what"] for line in (folder / "audit.jsonl").read_text().splitlines()]
-
-
 @pytest.mark.slow
 def test_no_key_lights_or_acknowledges(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    terminal = Terminal("run", CONFIGS / "live.toml", "-o", out, *set_words(WAITING), on_screen=True)
+    session = Session(tmp_path / "out")
+
+    def said() -> list[str]:
+        return [entry["what"] for entry in session.audit]
+
+    words = ("run", CONFIGS / "live.toml", "-o", session.folder, *set_words(WAITING))
+    terminal = Terminal(*words, on_screen=True)
     try:
         # typed before the question
         terminal.press("1\nlight\n")
@@ -39,19 +39,19 @@ def test_no_key_lights_or_acknowledges(tmp_path: Path) -> None:
             terminal.press(keys)
             if keys.endswith("\n") and keys.strip():
                 terminal.wait_for("nothing is done")
-        assert said(out) == ["lit", "trip", "latch", "dark"]
+        assert said() == ["lit", "trip", "latch", "dark"]
         terminal.press("1\n")
         terminal.wait_for("acknowledged")
         terminal.wait_for("Type light and Enter")
         for keys in ("1\n", "yes\n"):
             terminal.press(keys)
             terminal.wait_for("nothing is done")
-        assert said(out) == ["lit", "trip", "latch", "dark", "acknowledge"]
+        assert said() == ["lit", "trip", "latch", "dark", "acknowledge"]
         terminal.press("light\n")
         terminal.wait_for("laser on, 0.9 mW")
-        assert said(out)[-1] == "lit"
+        assert said()[-1] == "lit"
         terminal.process.send_signal(signal.SIGINT)
         terminal.end()
     finally:
         terminal.close()
-    assert said(out)[-1] == "dark"
+    assert said()[-1] == "dark"

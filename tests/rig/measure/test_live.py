@@ -4,11 +4,9 @@ What runs on demand is processed as fast as it goes; only here do watchers, fore
 clock.
 """
 
-import json
 import os
 import re
 from pathlib import Path
-from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -16,7 +14,7 @@ import pytest
 
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, Session, rig, run, set_words
 from tests.rig.pseudo_terminal import rig_at_terminal
 
 pytestmark = [
@@ -45,53 +43,32 @@ DRIFT_PPM = 80.0
 """Of a camera's clock that nobody has calibrated."""
 
 
-class Live(NamedTuple):
-    """Where a run was made, and what was on its screen."""
-
-    folder: Path
-    screen: str
-
-    @property
-    def record(self) -> Path:
-        return self.folder / "run-1.mcap"
-
-    @property
-    def state(self) -> tuple[str, str]:
-        entry = json.loads((self.folder / "session.json").read_text())["entries"][-1]
-        return entry["state"], entry["reason"]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal is POSIX's")
 def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_clock_does(
     tmp_path: Path,
 ) -> None:
     """The same swing by a true clock, made on demand, says what the period is."""
     drifting = LIVE | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"}
-    folder = tmp_path / "live"
-    words = [str(CONFIGS / "basement.toml"), "-o", str(folder), *set_words(drifting)]
-    run = Live(folder, rig_at_terminal("run", *words, cwd=tmp_path, columns=200).stdout)
-    assert "Traceback" not in run.screen
-    assert run.state == ("complete", "final amplitude reached")
-    twin = LIVE | {"simulation.real_time": "false"}
+    live, twin = Session(tmp_path / "live"), Session(tmp_path / "twin")
+    words = ["run", str(CONFIGS / "basement.toml"), "-o"]
+    at = rig_at_terminal(*words, live.folder, *set_words(drifting), cwd=tmp_path, columns=200)
+    screen = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", at.stdout)
+    assert "Traceback" not in screen
+    entry = live.entries[-1]
+    assert (entry["state"], entry["reason"]) == ("complete", "final amplitude reached")
+    on_demand = set_words(LIVE | {"simulation.real_time": "false"})
     with patch("rig.measure.run.live_posterior", return_value=None):
-        done = rig("run", CONFIGS / "basement.toml", "-o", tmp_path / "twin", *set_words(twin))
-    assert "Traceback" not in done.stderr
-    (found,), (true,) = (
-        json.loads((folder / "results.json").read_text())["runs"]
-        for folder in (run.folder, tmp_path / "twin")
-    )
+        assert "Traceback" not in rig(*words, twin.folder, *on_demand).stderr
+    (found,), (true,) = live.runs, twin.runs
     clock = found["clock"]
     assert clock["drift_ppm"] == pytest.approx(DRIFT_PPM, abs=max(4 * clock["u_drift_ppm"], 1.0))
-    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", run.screen)
-    assert re.search(r"clock +\+(79|80)\.\d+ ± [\d.]+ ppm against", plain), plain[-3000:]
+    assert re.search(r"clock +\+(79|80)\.\d+ ± [\d.]+ ppm against", screen), screen[-3000:]
     rows, truth = ({row["quantity"]: row for row in each["table"]} for each in (found, true))
     # over the half-cycles of both: a busy machine loses frames, and with them some of the live run's
-    assert slower(run.record, tmp_path / "twin" / "run-1.mcap") == pytest.approx(1e-6 * DRIFT_PPM, rel=0.05)
-    shift_s = 1e-6 * DRIFT_PPM * truth["mean_period_s"]["value"]
-    assert (
-        abs(rows["mean_period_s"]["value"] - truth["mean_period_s"]["value"])
-        < 2.0 * rows["mean_period_s"]["u"]
-    )
+    assert slower(live.record, twin.record) == pytest.approx(1e-6 * DRIFT_PPM, rel=0.05)
+    period_s, true_s = rows["mean_period_s"], truth["mean_period_s"]["value"]
+    shift_s = 1e-6 * DRIFT_PPM * true_s
+    assert abs(period_s["value"] - true_s) < 2.0 * period_s["u"]
     budget = found["budget"]["period0_s"]
     (line,) = [source for source in budget["sources"] if source["source"] == "clock"]
     # no less and not much more than what is there: 50 ppm of the computer's are added
@@ -133,11 +110,10 @@ SOONER = {
 
 
 def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out", *set_words(SOONER))
-    assert "Traceback" not in done.stderr
-    record = tmp_path / "out" / "run-1.mcap"
-    assert record.exists(), done.stderr
-    with RecordReader(record) as reader:
+    session = run(tmp_path / "out", SOONER, config="faults.toml")
+    assert "Traceback" not in session.said
+    assert session.record.exists(), session.said
+    with RecordReader(session.record) as reader:
         assert not reader.truncated
         losses, events = reader.losses(), reader.events()
     kinds, end = {event.kind for event in events}, end_of(events)
@@ -147,5 +123,4 @@ def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Pat
     assert losses.while_unplugged > 50
     assert end is not None
     assert end.kind == EventKind.STOP
-    state = json.loads((tmp_path / "out" / "session.json").read_text())
-    assert state["entries"][-1]["state"] == "complete"
+    assert session.entries[-1]["state"] == "complete"

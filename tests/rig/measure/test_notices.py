@@ -9,56 +9,51 @@ import pytest
 from rig.measure import notices
 from rig.measure.notices import Notices
 from rig.settings import SessionSettings
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
-
-WAIT_S = 60.0
-KEEP = "json.dumps(sys.argv[1:]) + '\\n'"
+from tests.rig.command_line import SMALL, run
 
 
-def program(folder: Path, text: str, then: str = "") -> tuple[str, str]:
+def program(folder: Path, then: str) -> tuple[str, str]:
     """A command that appends its arguments to the file `told`."""
-    path = folder / "tell.py"
-    told = str(folder / "told")
-    path.write_text(f"import json, sys, time\nwith open({told!r}, 'a') as file: file.write({text})\n{then}\n")
+    path, told = folder / "tell.py", str(folder / "told")
+    keep = "file.write(json.dumps(sys.argv[1:]) + '\\n')"
+    path.write_text(f"import json, sys, time\nwith open({told!r}, 'a') as file: {keep}\n{then}\n")
     return sys.executable, str(path)
 
 
-def piece_contents(folder: Path) -> list[list[str]]:
-    return [json.loads(line) for line in (folder / "told").read_text().splitlines()]
-
-
 def test_the_failure_of_a_session_is_told_with_its_cause(tmp_path: Path) -> None:
-    command = {"session.notify_command": json.dumps(program(tmp_path, KEEP))}
-    short = {**SMALL, **command, "session.max_duration_s": "4"}
-    out = tmp_path / "out"
-    done = rig("run", CONFIGS / "demo.toml", "-o", out, *set_words(short))
-    assert done.returncode == 1
-    ((kind, text, folder),) = piece_contents(tmp_path)
-    assert (kind, folder) == ("failure", str(out))
+    session = run(
+        tmp_path / "out",
+        SMALL,
+        session__notify_command=json.dumps(program(tmp_path, "")),
+        session__max_duration_s="4",
+    )
+    assert session.done.returncode == 1
+    ((kind, text, folder),) = map(json.loads, (tmp_path / "told").read_text().splitlines())
+    assert (kind, folder) == ("failure", str(session.folder))
     # the cause, and not only that there is one
     assert "run-1.mcap: " in text
-    assert (out / "run-1.mcap").exists()
+    assert session.record.exists()
 
 
 def test_a_command_that_hangs_delays_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(notices, "_MAX_CALL_S", 2.0)
+    monkeypatch.setattr(notices, "_MAX_CALL_S", 1.0)
     monkeypatch.setattr(notices, "_MAX_LAST_WAIT_S", 0.1)
-    told = Notices(SessionSettings(notify_command=program(tmp_path, "''", "time.sleep(600)")), tmp_path)
+    told = Notices(SessionSettings(notify_command=program(tmp_path, "time.sleep(600)")), tmp_path)
     told.tell("alarm", "the laser is dark")
     told.wait()
     # it has not answered, and this thread has come as far as here
     (thread,) = told.calls
     assert thread.is_alive()
-    thread.join(WAIT_S)
+    thread.join(60.0)
     said = capsys.readouterr().err
     assert "did not answer within 0.1 s: it is unknown whether the message arrived" in said
-    assert "was ended after 2 s" in said
+    assert "was ended after 1 s" in said
 
 
 def test_a_command_that_fails_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ((str(tmp_path / "no-such-program"),), program(tmp_path, "''", "sys.exit(3)")):
+    for command in ((str(tmp_path / "no-such-program"),), program(tmp_path, "sys.exit(3)")):
         told = Notices(SessionSettings(notify_command=command), tmp_path)
         told.tell("end", "every run was measured")
         told.wait()
@@ -68,8 +63,7 @@ def test_a_command_that_fails_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_a_program_that_is_not_there_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
-    told = {"session.notify_command": '["no-such-program", "--urgent"]'}
-    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(told))
-    assert done.returncode == 2
-    assert "session.notify_command: no program 'no-such-program' is found" in done.stderr
-    assert not (tmp_path / "out").exists()
+    session = run(tmp_path / "out", {}, session__notify_command='["no-such-program", "--urgent"]')
+    assert session.done.returncode == 2
+    assert "session.notify_command: no program 'no-such-program' is found" in session.said
+    assert not session.folder.exists()

@@ -20,16 +20,18 @@ from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream, SessionNews
 from rig.interruption import _may_block
 from rig.measure import measure_session, screen
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, WITHOUT_FIGURES, configured, rig, set_words
+from tests.rig.command_line import (
+    CONFIGS,
+    QUICK,
+    SMALL,
+    Session,
+    configured,
+    rig,
+    set_words,
+)
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")
 WITHIN_S = 120.0
-
-
-def unread_pipe() -> tuple[int, int]:
-    out, into = os.pipe()
-    fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)  # type: ignore[attr-defined, unused-ignore]
-    return out, into
 
 
 def waiting(out: int) -> int:
@@ -38,11 +40,13 @@ def waiting(out: int) -> int:
 
 @pytest.mark.slow
 def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path) -> None:
-    out, into = unread_pipe()
+    out, into = os.pipe()
+    fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)  # type: ignore[attr-defined, unused-ignore]
     words = set_words({**QUICK, "session.max_duration_s": "1e6", "session.final_amplitude_arcsec": "0.001"})
-    command = [sys.executable, "-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json"]
+    session = Session(tmp_path / "out")
+    record = session.record
+    command = [sys.executable, "-m", "rig", "run", CONFIGS / "demo.toml", "-o", session.folder, "--json"]
     process = subprocess.Popen([*command, *words], stdout=into, stdin=subprocess.DEVNULL)
-    record = tmp_path / "out" / "run-1.mcap"
     deadline_s = time.monotonic() + WITHIN_S
     try:
         # the pipe has no room for another line and stands still, and the record grows all the same
@@ -63,12 +67,11 @@ def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path
         process.wait()
         os.close(out)
         os.close(into)
-    with RecordReader(record) as reader:
+    with RecordReader(session.record) as reader:
         end = end_of(reader.events())
     assert end is not None
     assert (end.kind, end.text) == (EventKind.ENDED_EARLY, "terminated")
-    (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
-    assert entry["state"] == "stopped"
+    assert [entry["state"] for entry in session.entries] == ["stopped"]
 
 
 def test_what_may_block_is_no_file(tmp_path: Path) -> None:
@@ -83,7 +86,7 @@ def test_what_may_block_is_no_file(tmp_path: Path) -> None:
 def test_an_unread_terminal_does_not_hold_a_preflight_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = {**SMALL, "session.output": f"'{tmp_path.as_posix()}'", "preflight.duration_s": "3"}
+    words = {**SMALL, "session.output": f"'{tmp_path.as_posix()}'", "preflight.duration_s": "1"}
     over = threading.Event()
     usual_close, usual_print = FrameStream.close, screen.print_json_line
 
@@ -105,34 +108,8 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
     assert kinds[-1] == "preflight"
 
 
-NOHUP = (
-    "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
-    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
-)
-
-
-@pytest.mark.slow
-def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
-    out, into = os.pipe()
-    words = ["-c", WITHOUT_FIGURES, "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(QUICK)]
-    process = subprocess.Popen(
-        [sys.executable, "-c", NOHUP, *words],
-        stdin=subprocess.DEVNULL,
-        stdout=into,
-        stderr=into,
-    )
-    os.close(into)
-    # whoever read it goes away: every further line is an error
-    os.close(out)
-    process.wait(250)
-    (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
-    assert entry["state"] == "complete"
-    assert (tmp_path / "out" / "results.json").exists()
-    assert (tmp_path / "out" / "report.html").exists()
-
-
 @pytest.mark.parametrize(("printed_by", "json_lines"), [("say", False), ("print_json_line", True)])
-def test_who_watches_is_told_on_when_the_terminal_was_closed(
+def test_who_watches_is_told_on_when_the_terminal_was_closed_and_the_session_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed_by: str, json_lines: bool
 ) -> None:
     phases: list[str] = []
@@ -147,10 +124,12 @@ def test_who_watches_is_told_on_when_the_terminal_was_closed(
 
     monkeypatch.setattr(SessionNews, "state", state)
     monkeypatch.setattr(screen, printed_by, closed)
-    values = {**QUICK, "session.max_duration_s": "3"}
-    config = configured(values)
+    config, session = configured({**QUICK, "session.max_duration_s": "3"}), Session(tmp_path / "out")
     # a closed stdout is led to nowhere, which must not be that of the tests
     with (tmp_path / "stdout").open("w") as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
-        measure_session(config, CONFIGS / "demo.toml", tmp_path / "out", json_lines=json_lines)
+        measure_session(config, CONFIGS / "demo.toml", session.folder, json_lines=json_lines)
     assert phases[-1] == "done"
+    assert [entry["state"] for entry in session.entries] == ["complete"]
+    assert len(session.runs) == 1
+    assert (session.folder / "report.html").exists()

@@ -5,7 +5,7 @@ import json
 import math
 import re
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from acquisition.frames.losses import FrameLosses
-from acquisition.record.topics import RecordedClockStep
+from acquisition.record.events import Event, EventKind
+from acquisition.record.topics import RecordedClockStep, RecordedLosses
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
@@ -24,6 +25,7 @@ from rig.measure import screen as screen_module
 from rig.measure.run_status import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 
+RAD = DeflectionUnit.RAD
 SEEN = RunNow(
     phase=Phase.MEASURING,
     frames=1000,
@@ -33,21 +35,16 @@ SEEN = RunNow(
     estimates={"c": Estimate(1e-8, math.inf)},
     clock=CameraClock(31.204, 0.052, 1, 0.13),
 )
+MEASURING = RunNow(phase=Phase.MEASURING, amplitude=124.0)
 
 
-def display(
-    output: io.StringIO,
-    *,
-    json_lines: bool = False,
-    unit: DeflectionUnit = DeflectionUnit.RAD,
-) -> RunDisplay:
-    console = Console(file=output, width=118, height=40)
-    return RunDisplay("run 1", 2.0, unit, json_lines=json_lines, console=console)
+def display(unit: DeflectionUnit = RAD, **more: Any) -> RunDisplay:
+    return RunDisplay("run 1", 2.0, unit, console=Console(file=io.StringIO(), width=118, height=40), **more)
 
 
-def screen(now: RunNow, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
+def screen(now: RunNow, shown: RunDisplay | None = None, **console: Any) -> str:
     output = io.StringIO()
-    Console(file=output, width=118, height=40).print(display(output, unit=unit).screen(now))
+    Console(file=output, width=118, height=40, **console).print((shown or display()).screen(now))
     return output.getvalue()
 
 
@@ -61,45 +58,76 @@ def test_a_closed_stdout_takes_further_lines_and_ends_no_measurement(
     with path.open("w") as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
         monkeypatch.setattr(screen_module, "print_json_line", closed)
-        display(io.StringIO(), json_lines=True).line("state", {})
+        display(json_lines=True).line("state", {})
         # what was buffered before goes nowhere, and raises no error at the end of the program
         print("buffered", flush=True)
     assert path.read_text() == ""
 
 
-def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
-    """The final amplitude is configured in arcsec: amplitudes in px never reach it."""
-    measuring = RunNow(phase=Phase.MEASURING, amplitude=124.0)
-    calibrated = screen(measuring)
-    assert "124.000 arcsec" in calibrated
-    assert "to 2 arcsec" in calibrated
-    shown = screen(measuring, DeflectionUnit.PX)
-    assert "124.000 px" in shown
-    assert "unknown: no lever" in shown
-    assert "arcsec" not in shown
-    assert "to 2" not in shown
+SWINGING = RunNow(Phase.MEASURING, elapsed_s=50.0, amplitude=123.0, amplitude_s=38.0, period_s=4.1)
 
 
-def test_an_amplitude_that_no_half_cycle_follows_is_said_to_be_old() -> None:
-    """A pendulum that was stopped, or leaves the sensor, keeps its last amplitude."""
-    swinging = RunNow(Phase.MEASURING, elapsed_s=50.0, amplitude=123.0, amplitude_s=38.0, period_s=4.1)
-    assert "no swing" not in screen(swinging)
-    stopped = replace(swinging, elapsed_s=51.0)
-    assert "123.000 arcsec (no swing for 13 s)" in screen(stopped)
-    assert display(io.StringIO()).values(stopped)["no_swing_s"] == 13.0
+@pytest.mark.parametrize(
+    ("now", "unit", "said", "unsaid"),
+    [
+        (SEEN, RAD, ("age 12 ms", "4 frames dropped", "3 by the bus, 1 by this computer"), "counted from"),
+        (RunNow(phase=Phase.MEASURING), RAD, ("age -",), "none"),
+        # before the record no loss is counted, and none is denied
+        (RunNow(phase=Phase.REST, frames=10), RAD, ("counted from the record on",), "0 frames dropped"),
+        (RunNow(phase=Phase.REST, frame_age_s=0.01), RAD, ("counted from the record on",), "0 in all"),
+        (MEASURING, RAD, ("124.000 arcsec", "to 2 arcsec"), " px"),
+        # the final amplitude is configured in arcsec: amplitudes in px never reach it
+        (MEASURING, DeflectionUnit.PX, ("124.000 px", "unknown: no lever"), "arcsec"),
+        (MEASURING, DeflectionUnit.PX, (), "to 2"),
+        # a pendulum that was stopped, or leaves the sensor, keeps its last amplitude
+        (SWINGING, RAD, (), "no swing"),
+        (replace(SWINGING, elapsed_s=51.0), RAD, ("123.000 arcsec (no swing for 13 s)",), "none"),
+        (RunNow(Phase.REST, "spread 3.00 arcsec of 1"), RAD, ("rest: spread 3.00",), "none"),
+        (SEEN, RAD, ("+31.204 ± 0.052 ppm against the computer's",), "none"),
+        # it was 1:60.0: the seconds were rounded after the minutes had been taken from them
+        (replace(SEEN, elapsed_s=119.97), RAD, ("2:00.0, ",), "60.0"),
+    ],
+)
+def test_the_screen_says(now: RunNow, unit: DeflectionUnit, said: tuple[str, ...], unsaid: str) -> None:
+    shown = screen(now, display(unit))
+    assert all(text in shown for text in said)
+    assert unsaid not in shown
 
 
 def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
     now = RunNow()
     for step_ns in (20_000_000, -130_000_000, 4_000_000):
         step = RecordedClockStep(1, step_ns, 1000)
-        now = now.with_contents(RecordContents(messages=[step]), DeflectionUnit.RAD)
+        now = now.with_contents(RecordContents(messages=[step]), RAD)
     assert now.clock == CameraClock(steps=3, largest_step_s=-0.13)
 
 
+def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:
+    swings = [
+        HalfCycle(n, round(1e9 * (10.0 + 2.1 * n)), 1e-6, size * ARCSEC_RAD, 1e-9, 2.1, 1e-6, 0.0, 1, flags)
+        for n, size, flags in ((0, 124.0, 0), (1, 99.0, 1))
+    ]
+    before = RunNow(half_cycles=5, dropped_frames=7)
+    lost = [RecordedLosses(1, *astuple(FrameLosses(by_bus=count))) for count in (9, 3)]
+    for losses, dropped in zip(lost, (9, 7), strict=True):
+        contents = RecordContents(half_cycles=swings, messages=[losses], start_ns=6_000_000_000)
+        now = before.with_contents(contents, RAD)
+        assert (now.half_cycles, now.dropped_frames) == (7, dropped)
+        assert (now.amplitude, now.amplitude_s, now.period_s) == (pytest.approx(124.0), 4.0, 4.2)
+
+
+def test_the_panel_has_the_alarm_and_the_newest_events() -> None:
+    shown = display()
+    shown.take(RecordContents(events=[Event(n, EventKind.STOP, f"number {n}.") for n in range(20)]))
+    seen = screen(SEEN, shown)
+    assert "number 19." in seen
+    assert "number 0." not in seen
+    assert "!!!" not in seen
+    assert "!!! IT IS DARK !!!" in screen(replace(SEEN, alarm="it is dark"), shown)
+
+
 def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> None:
-    output = io.StringIO()
-    shown = display(output, json_lines=True)
+    shown = display(json_lines=True)
     lines: list[dict[str, Any]] = []
     shown.line = lambda _, values: lines.append(values)  # type: ignore[method-assign]
     for progress in ("spread 3.00 arcsec of 1", "spread: 2.00 arcsec of 1", ""):
@@ -109,106 +137,68 @@ def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> 
         ("rest", "spread 3.00 arcsec of 1"),
         ("release", ""),
     ]
-    assert "rest: spread 3.00" in screen(RunNow(Phase.REST, "spread 3.00 arcsec of 1"))
 
 
 def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present_one() -> None:
-    output = io.StringIO()
-    console = Console(file=output, width=118, height=40, force_terminal=True, color_system="standard")
-    phases = (Phase.REST, Phase.WARM_UP, Phase.RELEASE)
-    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, phases=phases, console=console)
-    console.print(shown.screen(RunNow(Phase.WARM_UP, "drift 0.30 arcsec/min (limit 0.1)")))
-    line = next(one for one in output.getvalue().splitlines() if "recording" in one)
-    assert "rest > warm-up > release > recording" in re.sub(r"\x1b\[[0-9;]*m", "", line)
-    assert re.search(r"\x1b\[1;36mwarm-up", line)
-    assert "warm-up: drift 0.30 arcsec/min (limit 0.1)" in re.sub(r"\x1b\[[0-9;]*m", "", output.getvalue())
+    shown = display(phases=(Phase.REST, Phase.WARM_UP, Phase.RELEASE))
+    now = RunNow(Phase.WARM_UP, "drift 0.30 arcsec/min (limit 0.1)")
+    coloured = screen(now, shown, force_terminal=True, color_system="standard")
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", coloured)
+    assert "rest > warm-up > release > recording" in plain
+    assert "warm-up: drift 0.30 arcsec/min (limit 0.1)" in plain
+    assert re.search(r"\x1b\[1;36mwarm-up", next(x for x in coloured.splitlines() if "recording" in x))
 
 
-def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
-    """A display that has seen a minute of a decay from 124 arcsec, by 1 % a half-cycle."""
-    console = Console(file=output, width=118, height=40)
-    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, max_duration_s=longest_s, console=console)
+@pytest.mark.parametrize(("longest_s", "is_limit"), [(100.0, True), (7200.0, False)])
+def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
+    """Of a decay from 124 arcsec by 1 % a half-cycle, after a minute."""
+    shown = display(max_duration_s=longest_s)
     swings = [
         HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
     ]
     shown.take(RecordContents(half_cycles=swings))
-    return shown
-
-
-@pytest.mark.parametrize(("longest_s", "is_limit"), [(100.0, True), (7200.0, False)])
-def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
-    output = io.StringIO()
-    shown = decaying(output, longest_s)
     seen = RunNow(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
     shown.show(seen)
     values = shown.values(seen)
     assert values["at_most_s"] == longest_s - 60.0
-    Console(file=output, width=118, height=40).print(shown.screen(seen))
     if is_limit:
         assert (values["remaining_s"], values["u_remaining_s"], values["done"]) == (40.0, 0.0, 0.6)
-        assert "to the time limit" in output.getvalue()
+        assert "to the time limit" in screen(seen, shown)
     else:
-        assert values["u_remaining_s"] > 0
-        assert 300 < values["remaining_s"] < 1500
-        assert "to 2 arcsec" in output.getvalue()
+        # ln(124/2)/ln(1/0.99) half-cycles of 2 s, less the minute, and 2.5 more that end a run
+        assert values["remaining_s"] == pytest.approx(821.3 - 60.0 + 5.0, rel=0.1)
+        assert 0.5 < values["u_remaining_s"] < 60.0
+        assert "to 2 arcsec" in screen(seen, shown)
         assert shown.values(replace(seen, amplitude=math.sqrt(92.6 * 2.0)))["done"] == pytest.approx(0.5)
 
 
 def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
-    output = io.StringIO()
-    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, max_duration_s=300.0, console=Console(file=output))
-    Console(file=output, width=118).print(shown.screen(RunNow(phase=Phase.MEASURING, elapsed_s=60.0)))
-    assert "too early to say, at most 4:00" in output.getvalue()
+    shown = display(max_duration_s=300.0)
+    assert "too early to say, at most 4:00" in screen(RunNow(phase=Phase.MEASURING, elapsed_s=60.0), shown)
 
 
-def test_the_screen_shows_the_balance_in_its_own_unit() -> None:
+@pytest.mark.parametrize(("unit", "size"), [(DeflectionUnit.PX, 1.0), (RAD, ARCSEC_RAD)])
+def test_the_screen_shows_the_balance_in_its_own_unit(unit: DeflectionUnit, size: float) -> None:
     fields: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-3)
-    for unit, size in ((DeflectionUnit.PX, 1.0), (DeflectionUnit.RAD, ARCSEC_RAD)):
-        places = {"transverse": 2.5 * size, "rest_x": -0.0004 * size, "rest_y": -1.5 * size}
-        balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
-        output = io.StringIO()
-        shown = display(output, unit=unit)
-        Console(file=output, width=118, height=40).print(shown.screen(replace(SEEN, balance=balance)))
-        assert f"2.500 {unit.shown} (0.10 %)" in output.getvalue()
-        assert f"X +0.000, Y −1.500 {unit.shown}" in output.getvalue()
+    places = {"transverse": 2.5 * size, "rest_x": -0.0004 * size, "rest_y": -1.5 * size}
+    balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
+    shown = screen(replace(SEEN, balance=balance), display(unit))
+    assert f"2.500 {unit.shown} (0.10 %)" in shown
+    assert f"X +0.000, Y −1.500 {unit.shown}" in shown
 
 
-@pytest.mark.parametrize(
-    ("now", "said", "unsaid"),
-    [
-        (SEEN, ("age 12 ms", "4 frames dropped", "3 by the bus, 1 by this computer"), "counted from"),
-        (RunNow(phase=Phase.MEASURING), ("age -",), "none"),
-        # before the record no loss is counted, and none is denied
-        (RunNow(phase=Phase.REST, frames=10), ("counted from the record on",), "0 frames dropped"),
-        (RunNow(phase=Phase.REST, frame_age_s=0.01), ("counted from the record on",), "0 in all"),
-    ],
-)
-def test_the_screen_shows_the_age_of_frames_and_the_losses(
-    now: RunNow, said: tuple[str, ...], unsaid: str
-) -> None:
-    shown = screen(now)
-    assert all(text in shown for text in said)
-    assert unsaid not in shown
-
-
-def test_screen_and_json_lines_name_each_loss_and_how_the_camera_s_clock_runs(
+def test_json_lines_name_each_loss_and_how_the_camera_s_clock_runs(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert "+31.204 ± 0.052 ppm against the computer's" in screen(SEEN)
-    display(io.StringIO(), json_lines=True).show(SEEN)
+    display(json_lines=True).show(SEEN)
     state = json.loads(capsys.readouterr().out.splitlines()[0])
     assert state["frame_age_s"] == 0.0123
     assert state["amplitude_unit"] == "arcsec"
     assert state["losses"] == asdict(SEEN.losses)
     assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
     assert state["clock"] == {"drift_ppm": 31.204, "u_drift_ppm": 0.052, "steps": 1, "largest_step_s": 0.13}
-
-
-def test_a_minute_has_no_sixty_seconds() -> None:
-    """It was 1:60.0: the seconds were rounded after the minutes had been taken from them."""
-    rows = dict(display(io.StringIO()).rows(replace(SEEN, elapsed_s=119.97)))
-    assert rows["elapsed"].startswith("2:00.0, ")
+    assert display().values(replace(SWINGING, elapsed_s=51.0))["no_swing_s"] == 13.0
 
 
 def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
@@ -219,8 +209,8 @@ def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
 
 
 def test_the_page_is_told_what_it_has_no_place_for() -> None:
-    found = display(io.StringIO())
-    seen = RunNow(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
+    found = display()
+    seen = replace(MEASURING, estimates={"c": Estimate(1e-8, 1e-10)})
     assert dict(found.rows(replace(seen, record_bytes=2_500_000)))["record"].endswith(" MB/s, 2.5 MB")
     names, facts = ([name for name, _ in rows] for rows in (found.rows(seen), found.facts(seen)))
     assert "amplitude" in names
@@ -231,7 +221,7 @@ def test_the_page_is_told_what_it_has_no_place_for() -> None:
 
 def test_the_rates_are_those_of_the_last_seconds() -> None:
     """A camera that slows down after minutes would hardly change a mean over the whole run."""
-    shown, found = display(io.StringIO()), []
+    shown, found = display(), []
     for second in range(121):
         frames = 100 * min(second, 100) + 20 * max(second - 100, 0)
         now = replace(SEEN, elapsed_s=float(second), frames=frames, record_bytes=10 * frames)

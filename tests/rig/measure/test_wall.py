@@ -1,4 +1,4 @@
-"""Nothing that only watches can end a run: each of it fails here, and the run comes to its end with a fit."""
+"""Nothing that only watches can end a run: all of it fails here, and the run comes to its end."""
 
 import contextlib
 from pathlib import Path
@@ -7,14 +7,13 @@ from typing import Any
 import pytest
 
 from acquisition.record.events import EventKind
-from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import TurningPointDetector
 from rig.instrument import ObserverGuard
-from rig.measure import measure_session, readings
+from rig.measure import readings, record_plainly
 from rig.measure.posterior import LivePosterior
 from rig.measure.screen import RunDisplay
-from tests.rig.command_line import CONFIGS, SMALL, configured
+from tests.rig.command_line import CONFIGS, SMALL, configured, events_of
 
 WATCHERS = {
     "watcher RunDisplay": (RunDisplay, "take"),
@@ -25,16 +24,13 @@ WATCHERS = {
 }
 
 
-def measured(tmp_path: Path) -> tuple[list[Any], Any]:
-    """Events of a run of twenty seconds, and how the session ended."""
-    stated = {**SMALL, "session.max_duration_s": "20", "preflight.when": '"never"'}
-    stated |= {"session.stop_when": '["u(b)/b < 1e-9"]'}
-    config = configured(stated)
-    ended = None
+def measured(tmp_path: Path) -> list[tuple[str, str]]:
+    """Events of a run of ten seconds."""
+    stated = {**SMALL, "session.max_duration_s": "10", "preflight.when": '"never"'}
+    config = configured(stated | {"session.stop_when": '["u(b)/b < 1e-9"]'})
     with contextlib.suppress(SystemExit, ValueError):
-        ended = measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
-    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
-        return list(reader.events()), ended
+        record_plainly(config, CONFIGS / "demo.toml", tmp_path / "run.mcap")
+    return events_of(tmp_path / "run.mcap")
 
 
 def test_what_only_watches_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,10 +41,9 @@ def test_what_only_watches_ends_no_run(tmp_path: Path, monkeypatch: pytest.Monke
 
     for kind, method in WATCHERS.values():
         monkeypatch.setattr(kind, method, fails)
-    events, _ = measured(tmp_path)
-    assert events[-1].kind == EventKind.STOP
-    assert "time limit" in events[-1].text
-    told = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
+    events = measured(tmp_path)
+    assert events[-1] == (EventKind.STOP, "time limit of 10 s reached")
+    told = [text for kind, text in events if kind == EventKind.WATCHER_FAILED]
     (in_all,) = [text for text in told if text.startswith("in all: ")]
     for name in WATCHERS:
         assert told.count(f"{name} has failed, the run goes on: ValueError: an array of the wrong shape") == 1
@@ -69,9 +64,9 @@ def test_an_error_of_what_measures_ends_the_run_and_the_record_says_so(
         return usual(detector, *args)
 
     monkeypatch.setattr(TurningPointDetector, "update", fails)
-    events, _ = measured(tmp_path)
-    assert [event.kind for event in events[-2:]] == [EventKind.FAILED, EventKind.STOP]
-    assert "no shape fits" in events[-1].text
+    events = measured(tmp_path)
+    assert [kind for kind, _ in events[-2:]] == [EventKind.FAILED, EventKind.STOP]
+    assert "no shape fits" in events[-1][1]
 
 
 def test_a_wall_retries_counts_and_leaves_out() -> None:

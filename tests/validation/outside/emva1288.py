@@ -2,8 +2,8 @@
 
 The model: photons are Poisson, each pixel has its own response (PRNU) and its own dark signal (DSNU), the
 electronics add normal noise, the converter divides by the gain, rounds and clips. The standard's own
-estimators (release 4, linear model: gain from the slope of the temporal variance over the mean, both from two
-frames, up to 70 % of saturation) are written here again, by its formulas.
+estimator (release 4, linear model: gain from the slope of the temporal variance over the mean, both from two
+frames, up to 70 % of saturation) is written here again, by its formula.
 """
 
 import tempfile
@@ -49,8 +49,8 @@ class Camera:
         return np.clip(np.rint(dn), 0, FULL_SCALE_DN).astype(np.uint16)
 
 
-def by_the_standard(pairs: Sequence[tuple[Image, Image]], darks: Sequence[Image]) -> dict[str, float]:
-    """The standard's estimators from the same frames."""
+def gain_by_the_standard(pairs: Sequence[tuple[Image, Image]], darks: Sequence[Image]) -> float:
+    """The standard's estimator from the same frames, electrons a DN."""
 
     def temporal(a: Image, b: Image) -> tuple[float, float]:
         difference = a.astype(float) - b.astype(float)
@@ -60,8 +60,7 @@ def by_the_standard(pairs: Sequence[tuple[Image, Image]], darks: Sequence[Image]
     means, variances = np.array([temporal(a, b) for a, b in pairs]).T
     used = means < 0.7 * FULL_SCALE_DN
     x, y = means[used] - dark_mean, variances[used] - dark_variance
-    slope = float(x @ y / (x @ x))
-    return {"gain_e_per_dn": 1 / slope, "read_noise_e": float(np.sqrt(dark_variance - 1 / 12)) / slope}
+    return float(x @ x / (x @ y))
 
 
 def _measured(folder: Path, pairs: Sequence[tuple[Image, Image]], darks: Sequence[Image]) -> dict[str, float]:
@@ -92,13 +91,12 @@ def photon_transfer() -> dict[str, Found]:
         darks = [camera.frame(0.0) for _ in range(DARKS)]
         with tempfile.TemporaryDirectory() as name:
             found = _measured(Path(name), pairs, darks)
-        standard = by_the_standard(pairs, darks)
         gain, u_gain = found["gain_e_per_dn"], found["u_gain_e_per_dn"]
         pulls["gain"].append((gain - camera.gain_e_per_dn) / u_gain)
         pulls["noise"].append((found["read_noise_e"] - camera.dark_noise_e) / found["u_read_noise_e"])
         pulls["dark level"].append((found["pedestal_dn"] - camera.offset_dn) / found["u_dark_level_dn"])
         pulls["prnu"].append((found["prnu"] - camera.prnu) / found["u_prnu"])
-        from_standard.append(abs(gain / standard["gain_e_per_dn"] - 1) * 100)
+        from_standard.append(abs(gain / gain_by_the_standard(pairs, darks) - 1) * 100)
         relative.append(u_gain / gain * 100)
     return {
         **{

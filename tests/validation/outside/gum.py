@@ -38,6 +38,21 @@ def budget_by(model: Callable[[Mapping[str, Floats]], Floats], inputs: Mapping[s
     return budget_of("", value, parts, [(part[4], inputs[part[0]].dof) for part in parts])  # type: ignore[arg-type]
 
 
+def _propagated(
+    model: Callable[[Mapping[str, Floats]], dict[str, Floats]],
+    means: Mapping[str, float],
+    covariance: Array,
+) -> tuple[dict[str, float], Array]:
+    """Values of a model of correlated inputs, and their covariance."""
+    inputs = {
+        name: InputQuantity(mean, sqrt(covariance[k, k])) for k, (name, mean) in enumerate(means.items())
+    }
+    values = {name: float(v[0]) for name, v in model({n: np.array([m]) for n, m in means.items()}).items()}
+    slopes = sensitivities(model, inputs)
+    rows = np.array([[slopes[of].get(name, 0.0) for name in means] for of in values])
+    return values, propagate(rows, covariance)
+
+
 def units_off(value: float, printed: str) -> float:
     """The distance in units of the last printed digit: up to a half the value rounds to what is printed."""
     decimals = len(printed.partition(".")[2])
@@ -92,20 +107,13 @@ PHASES = np.array([1.0456, 1.0438, 1.0468, 1.0428, 1.0433])
 def impedance() -> dict[str, Found]:
     """H.2: resistance, reactance and impedance from five sets of correlated readings."""
     readings = np.array([VOLTS, AMPERES, PHASES])
-    means, covariance = readings.mean(axis=1), np.cov(readings) / 5
-    names = ("V", "I", "phi")
+    means = dict(zip(("V", "I", "phi"), readings.mean(axis=1).tolist(), strict=True))
 
     def model(x: Mapping[str, Floats]) -> dict[str, Floats]:
         z = x["V"] / x["I"]
         return {"R": z * np.cos(x["phi"]), "X": z * np.sin(x["phi"]), "Z": z}
 
-    inputs = {
-        name: InputQuantity(float(mean), float(np.sqrt(covariance[k, k])))
-        for k, (name, mean) in enumerate(zip(names, means, strict=True))
-    }
-    slopes = sensitivities(model, inputs)
-    out = propagate(np.array([[slopes[q].get(name, 0.0) for name in names] for q in "RXZ"]), covariance)
-    value = {q: float(v[0]) for q, v in model({n: np.array([i.value]) for n, i in inputs.items()}).items()}
+    value, out = _propagated(model, means, np.cov(readings) / 5)
     u = np.sqrt(np.diag(out))
     r = out / np.outer(u, u)
     return _found(
@@ -173,20 +181,14 @@ def activity() -> dict[str, Found]:
     known = {"A_S": (0.1368, 0.0018), "m_S": (5.0192, 0.0050), "m_x": (5.0571, 0.0010)}
     for k, (_, u) in enumerate(known.values()):
         covariance[2 + k, 2 + k] = u**2
-    inputs = {
-        "R_x": InputQuantity(float(mean[0]), sqrt(covariance[0, 0])),
-        "R_S": InputQuantity(float(mean[1]), sqrt(covariance[1, 1])),
-        **{name: InputQuantity(value, u) for name, (value, u) in known.items()},
-    }
+    means = {"R_x": float(mean[0]), "R_S": float(mean[1]), **{name: one for name, (one, _) in known.items()}}
 
     def model(x: Mapping[str, Floats]) -> dict[str, Floats]:
         ratio = x["R_x"] / x["R_S"]
         return {"ratio": ratio, "A_x": x["A_S"] * x["m_S"] / x["m_x"] * ratio}
 
-    slopes = sensitivities(model, inputs)
-    rows = np.array([[slopes[q].get(name, 0.0) for name in inputs] for q in ("ratio", "A_x")])
-    u_out = np.sqrt(np.diag(propagate(rows, covariance)))
-    value = {q: float(v[0]) for q, v in model({n: np.array([i.value]) for n, i in inputs.items()}).items()}
+    value, out = _propagated(model, means, covariance)
+    u_out = np.sqrt(np.diag(out))
     return _found(
         {
             "ratio of rates": (value["ratio"], "3.167"),
