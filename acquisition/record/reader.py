@@ -15,7 +15,7 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixel_file, pixels_path
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
-from acquisition.record.codec import decode_preview, decode_window, preview_step
+from acquisition.record.codec import decode_window, preview_step
 from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
 from acquisition.record.read_file import ReadFile
@@ -195,6 +195,9 @@ class RecordReader:
 
         They are at least `interval_ns` apart; chunks that begin after `until_ns` are left for a later call.
         """
+        # imported here: a fit, which reads no previews, would load Google's protobuf for nothing
+        from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
         while self._pixels is not None and self._picture_chunks_read < len(self._pixels.chunks):
             chunk = self._pixels.chunks[self._picture_chunks_read]
             if chunk.start_ns - self.epoch_offset_ns > until_ns:
@@ -206,7 +209,7 @@ class RecordReader:
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
-                    yield message.sequence, time_ns, decode_preview(message.data)
+                    yield message.sequence, time_ns, bytes(CompressedImage.FromString(message.data).data)
 
     @property
     def picture_shape(self) -> tuple[tuple[int, int], int]:

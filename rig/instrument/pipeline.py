@@ -4,13 +4,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import Frame, Image
-from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -18,6 +17,9 @@ from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
+
+if TYPE_CHECKING:  # a fit writes no record
+    from acquisition.record.writer import RecordWriter
 
 _MAX_PENDING_CALLS = 4096
 _BATCH_NS = 50_000_000
@@ -88,7 +90,7 @@ class Block(NamedTuple):
 
     def write(
         self,
-        writer: RecordWriter,
+        writer: "RecordWriter",
         numbers: Sequence[int],
         device_times_ns: Sequence[int],
         host_times_ns: Sequence[int],
