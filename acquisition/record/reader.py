@@ -56,16 +56,16 @@ class RecordReader:
     checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
     ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. While a record
     is still being written, `update` and `follow` list what has been flushed since. `numbers` is the file of
-    numbers, with its table of contents. Raises RecordError for a file that is missing, or is no record of
-    this program and schema.
+    numbers, with its table of contents, of which the last `kept_pieces` chunks stay in memory. Raises
+    RecordError for a file that is missing, or is no record of this program and schema.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kept_pieces: int = 0) -> None:
         if is_pixel_file(path):
             record = path.name.removesuffix(PIXELS_SUFFIX)
             raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path
-        self.numbers = ReadFile(path)
+        self.numbers = ReadFile(path, kept_pieces)
         self._pixels: ReadFile | None = None
         self._chunks_read, self._picture_chunks_read, self._picture_due_ns = 0, 0, 0
         try:
