@@ -9,20 +9,13 @@ Differences are stored as bit planes, which zstd compresses best.
 import functools
 import math
 
-import cv2
 import numpy as np
 import zstandard
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from numpy.typing import NDArray
 
 from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
-from acquisition.record.topics import (
-    SENSOR_FRAME,
-    WINDOW,
-    IntegerGaussian,
-    RecordedWindow,
-)
+from acquisition.record.topics import WINDOW, IntegerGaussian, RecordedWindow
 from processing.kernel import kernel
 from processing.spot import Spot
 
@@ -212,23 +205,6 @@ def _table() -> NDArray[np.int64]:
 
 _PREVIEW_PX = 480
 """Longest side of a preview; larger images are reduced by a whole number."""
-
-
-def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
-    """Preview of an image (ny, nx), as an encoded foxglove.CompressedImage: JPEG, 8 bits, reduced in size."""
-    step = preview_step((image.shape[0], image.shape[1]))
-    small = image[::step, ::step]
-    if image.itemsize > 1:
-        small = np.minimum(small * (255.0 / full_scale_dn), 255.0).astype(np.uint8)
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
-    message = CompressedImage(format="jpeg", data=data.tobytes(), frame_id=SENSOR_FRAME)
-    message.timestamp.FromNanoseconds(utc_ns)
-    return message.SerializeToString()
-
-
-def decode_preview(data: bytes) -> bytes:
-    """The JPEG of a preview; see `encode_preview`."""
-    return bytes(CompressedImage.FromString(data).data)
 
 
 def preview_step(shape: tuple[int, int]) -> int:

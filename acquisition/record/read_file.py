@@ -15,6 +15,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import IO
 
@@ -59,7 +60,8 @@ class ReadFile:
 
     A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
     file without an ending is read up to its last complete record; `update` reads what has been written since.
-    Raises RecordError for a file that is missing, is no MCAP file or cannot be read.
+    The last `kept_pieces` chunks stay in memory. Raises RecordError for a file that is missing, is no MCAP
+    file or cannot be read.
 
     Attributes
     ----------
@@ -81,8 +83,9 @@ class ReadFile:
         What was found damaged so far, in words, by its offset: chunks, attachments, parts of the structure.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kept_pieces: int = 0) -> None:
         self.path = path
+        self.piece = lru_cache(kept_pieces)(self._piece)
         self.size, self.readable_bytes = 0, len(MAGIC)
         self.is_complete = self.has_summary = False
         self.library = ""
@@ -102,8 +105,9 @@ class ReadFile:
             raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, and forget the messages that were read."""
         self.file.close()
+        self.piece.cache_clear()
 
     def update(self) -> bool:
         """List what has been written since the last call; True if anything has."""
@@ -116,7 +120,7 @@ class ReadFile:
             self._walk()
         return self.readable_bytes > old_end
 
-    def piece(self, chunk: ChunkEntry) -> Piece:
+    def _piece(self, chunk: ChunkEntry) -> Piece:
         """The messages of a chunk; none of a damaged one, which is listed."""
         try:
             content = content_of(self._read(chunk.offset, chunk.length), chunk)

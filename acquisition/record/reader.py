@@ -15,7 +15,7 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixel_file, pixels_path
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
-from acquisition.record.codec import decode_preview, decode_window, preview_step
+from acquisition.record.codec import decode_window, preview_step
 from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
 from acquisition.record.read_file import ReadFile
@@ -56,16 +56,16 @@ class RecordReader:
     checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
     ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. While a record
     is still being written, `update` and `follow` list what has been flushed since. `numbers` is the file of
-    numbers, with its table of contents. Raises RecordError for a file that is missing, or is no record of
-    this program and schema.
+    numbers, with its table of contents, of which the last `kept_pieces` chunks stay in memory. Raises
+    RecordError for a file that is missing, or is no record of this program and schema.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kept_pieces: int = 0) -> None:
         if is_pixel_file(path):
             record = path.name.removesuffix(PIXELS_SUFFIX)
             raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path
-        self.numbers = ReadFile(path)
+        self.numbers = ReadFile(path, kept_pieces)
         self._pixels: ReadFile | None = None
         self._chunks_read, self._picture_chunks_read, self._picture_due_ns = 0, 0, 0
         try:
@@ -195,6 +195,9 @@ class RecordReader:
 
         They are at least `interval_ns` apart; chunks that begin after `until_ns` are left for a later call.
         """
+        # imported here: a fit, which reads no previews, would load Google's protobuf for nothing
+        from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+
         while self._pixels is not None and self._picture_chunks_read < len(self._pixels.chunks):
             chunk = self._pixels.chunks[self._picture_chunks_read]
             if chunk.start_ns - self.epoch_offset_ns > until_ns:
@@ -206,7 +209,7 @@ class RecordReader:
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
-                    yield message.sequence, time_ns, decode_preview(message.data)
+                    yield message.sequence, time_ns, bytes(CompressedImage.FromString(message.data).data)
 
     @property
     def picture_shape(self) -> tuple[tuple[int, int], int]:

@@ -10,14 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
+import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_path
-from acquisition.record.codec import encode_preview
-from acquisition.record.codec import encode_window as encode_window
+from acquisition.record.codec import encode_window, preview_step
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.topics import (
@@ -192,9 +193,15 @@ class RecordWriter:
         self._add(IMAGE.topic, frame.time_ns, data, frame.sequence)
 
     def write_preview(self, frame: Frame) -> None:
-        """Write a preview of a whole frame, which is for viewers and not for measurement."""
-        data = encode_preview(self._offset_ns + frame.time_ns, frame.image, self._full_scale_dn)
-        self._add(PREVIEW_TOPIC, frame.time_ns, data, frame.sequence)
+        """Write a preview of a whole frame, which is for viewers: JPEG, 8 bits, reduced in size."""
+        step = preview_step((frame.image.shape[0], frame.image.shape[1]))
+        small = frame.image[::step, ::step]
+        if small.itemsize > 1:
+            small = np.minimum(small * (255.0 / self._full_scale_dn), 255.0).astype(np.uint8)
+        _, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(small))
+        message = CompressedImage(format="jpeg", data=jpeg.tobytes(), frame_id=SENSOR_FRAME)
+        message.timestamp.FromNanoseconds(self._offset_ns + frame.time_ns)
+        self._add(PREVIEW_TOPIC, frame.time_ns, message.SerializeToString(), frame.sequence)
 
     def _pixels_file(self) -> McapFile:
         """The file of pixels, which is created when the first pixels are written."""

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from itertools import chain
 from typing import NamedTuple
 
@@ -145,13 +146,17 @@ def _largest_change_u(start: Floats, solution: Solution) -> float:
     return float(np.max(change_u[np.isfinite(change_u)], initial=0.0))
 
 
-def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
+def _likeliest_minimum(
+    model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None, start: Floats | None
+) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Minimum | None = None
     start_count = 0
-    for start in chain(start_near(model, near), starts_of(model)):
+    known = [] if start is None else [_inside(model, start)]
+    others = (other for other in starts_of(model) if start is None or not np.array_equal(other, start))
+    for coordinates in chain(start_near(model, near), known, others):
         start_count += 1
-        minimum = _minimum_from(model, start, loss, kind)
+        minimum = _minimum_from(model, coordinates, loss, kind)
         if minimum is None:
             continue
         if best is None or minimum.likeliest.deviance < best.likeliest.deviance:
@@ -180,6 +185,7 @@ def fit_exact(
     loss: Loss = "linear",
     averaged: bool = True,
     near: FitResult | None = None,
+    start: Floats | None = None,
 ) -> FitResult:
     """Fit the exact half-swing map to amplitudes and times of the turning points, jointly.
 
@@ -201,6 +207,8 @@ def fit_exact(
         detector. Otherwise amplitude and time are those of the instant at which the pendulum turns.
     near
         An exact fit of nearly the same points, at which the first of all searches starts.
+    start
+        First of the `starts_of` a model of these points, if it is known; the next search starts there.
 
     Raises
     ------
@@ -222,7 +230,7 @@ def fit_exact(
     fitted = points
     while True:
         model = ExactModel(fitted, pendulum, law=law, drag=drag, evidence=evidence)
-        minimum = _likeliest_minimum(model, loss, kind, near)
+        minimum = _likeliest_minimum(model, loss, kind, near, start)
         likeliest = minimum.likeliest
         lowest = _MIN_AMPLITUDE_STEPS * likeliest.noise.step * model.reference
         lost = np.nonzero(fitted.amplitude < lowest)[0]
@@ -297,8 +305,8 @@ def fit_exact_with(
 
 _VALLEY_RANGE = 6.0
 """Range below the largest friction, as a logarithm, in which starts along the valley lie."""
-_VALLEY_STARTS = 25
-"""Number of starts along the valley."""
+_VALLEY_STARTS, _VALLEY_STEPS = 7, (0.5, 0.25)
+"""Number of starts along the valley, and the steps from the best of them that are tried then."""
 _MUCH_BETTER = 0.25
 """Chi-square of the evidence, over that at a start, below which the start is moved."""
 
@@ -330,19 +338,23 @@ def _by_waveform(model: ExactModel, coordinates: Floats) -> Iterator[Floats]:
     valley = model.parametrisation.valley
     if valley is None or model.evidence.waveform is None:
         return
-    along_valley = np.linspace(model.upper[valley] - _VALLEY_RANGE, model.upper[valley], _VALLEY_STARTS)
-    trials: list[tuple[float, Floats]] = []
-    for value in [float(coordinates[valley]), *along_valley.tolist()]:
-        trial = coordinates.copy()
-        trial[valley] = value
+
+    def moved(value: float) -> Floats:
+        return np.where(np.arange(len(coordinates)) == valley, value, coordinates)
+
+    @cache
+    def chi2(value: float) -> float:
         with suppress(DataError):
-            if np.all(np.isfinite(model(trial)[0])):
-                trials.append((float(np.sum(model.evidence_residuals(trial) ** 2)), trial))
-    if not trials:
-        return
-    chi2, best = min(trials, key=lambda chi2_and_trial: chi2_and_trial[0])
-    if trials[0][1] is not best and chi2 < _MUCH_BETTER * trials[0][0]:
-        yield _inside(model, best)
+            if np.all(np.isfinite(model(moved(value))[0])):
+                return float(np.sum(model.evidence_residuals(moved(value)) ** 2))
+        return np.inf
+
+    end = float(model.upper[valley])
+    best = min(np.linspace(end - _VALLEY_RANGE, end, _VALLEY_STARTS).tolist(), key=chi2)
+    for step in _VALLEY_STEPS:
+        best = min(best, best - step, min(best + step, end), key=chi2)
+    if chi2(best) < _MUCH_BETTER * chi2(float(coordinates[valley])):
+        yield _inside(model, moved(best))
 
 
 def start_near(model: ExactModel, fit: FitResult | None) -> Iterator[Floats]:

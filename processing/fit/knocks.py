@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
@@ -52,14 +53,27 @@ def fit_with_knocks(
     prior of the drag is left out, with a warning, where the data contradict it (see `_contradicted_drag`).
     """
     check_turning_points(points)
-    contradicted = _contradicted_drag(points, pendulum, evidence, loss=loss, averaged=averaged, near=near)
+    start: Floats | None = None
+    if near is None:
+        # the first start costs as much as half of a fit, and is the same whether the drag has a prior or not
+        by_data = replace(evidence, drag_s=None)
+        start = next(starts_of(ExactModel(points, pendulum, drag=drag, evidence=by_data)), None)
+    contradicted = _contradicted_drag(
+        points, pendulum, evidence, drag=drag, loss=loss, averaged=averaged, near=near, start=start
+    )
     if contradicted is not None:
         evidence, near = replace(evidence, drag_s=None), contradicted.fit
 
-    def fitted(knocks: Iterable[int], start: FitResult | None) -> FitResult:
-        with_knocks = replace(evidence, knocks=tuple(sorted(knocks)))
+    def fitted(knocks: Iterable[int], near: FitResult | None) -> FitResult:
         return fit_exact(
-            points, pendulum, drag=drag, evidence=with_knocks, loss=loss, averaged=averaged, near=start
+            points,
+            pendulum,
+            drag=drag,
+            evidence=replace(evidence, knocks=tuple(sorted(knocks))),
+            loss=loss,
+            averaged=averaged,
+            near=near,
+            start=start,
         )
 
     known, changes = ((), ()) if near is None else (near.evidence.knocks, near.changes)
@@ -159,19 +173,21 @@ def _contradicted_drag(
     pendulum: PendulumOnBall,
     evidence: Evidence,
     *,
+    drag: bool,
     loss: Loss,
     averaged: bool,
     near: FitResult | None,
+    start: Floats | None,
 ) -> _ContradictedDrag | None:
     """The fit by the data alone where they show a far larger drag than is known; None elsewhere.
 
     Held near a drag that is far too small, a fit takes the rest of the loss for a drive of the ground, or
     does not converge. A smaller drag than is known is no contradiction: a wrong law produces it as well.
-    `near` is an earlier fit of nearly the same points; without it the start values tell whether a fit by the
-    data alone is worth its time.
+    `near` is an earlier fit of nearly the same points; without it the `start` of a search tells whether a fit
+    by the data alone is worth its time.
     """
     known_s = evidence.drag_s
-    if known_s is None:
+    if known_s is None or not drag:
         return None
     evidence = replace(evidence, drag_s=None)
     try:
@@ -179,13 +195,21 @@ def _contradicted_drag(
             return _ContradictedDrag(known_s, near)
         if near is not None:
             drag_s = near.estimate(DRAG.key).value
+        elif start is not None:
+            drag_s = ExactModel(points, pendulum, drag=True, evidence=evidence).values(start)[DRAG.key]
         else:
-            model = ExactModel(points, pendulum, drag=True, evidence=evidence)
-            drag_s = model.values(next(starts_of(model)))[DRAG.key]
+            return None
         if drag_s - known_s.value < _CONTRADICTS_U * known_s.standard_uncertainty:
             return None
         fit = fit_exact(
-            points, pendulum, drag=True, evidence=evidence, loss=loss, averaged=averaged, near=near
+            points,
+            pendulum,
+            drag=True,
+            evidence=evidence,
+            loss=loss,
+            averaged=averaged,
+            near=near,
+            start=start,
         )
     except DataError:
         return None

@@ -48,6 +48,9 @@ _MIN_SAMPLES = 8
 _MIN_LINE_PROMINENCE = 40.0
 """Smallest power of a fast mode's line in the fast deflection, relative to the median of all frequencies."""
 
+_RIDGE = 1e-10
+"""Ridge on a normal matrix over its mean diagonal: a term may vanish, or be a combination of others."""
+
 
 class CycleResiduals(NamedTuple):
     """Samples of one cycle, from a zero crossing to the next but one, as arrays of n samples."""
@@ -164,9 +167,10 @@ def linear_fit_residuals(values: Floats, terms: Floats, root_weight: Floats | fl
     norm = np.sqrt(np.sum(terms**2, axis=0))
     scaled = terms / np.where(norm > 0.0, norm, 1.0)
     weighted = (scaled.T * root_weight).T
-    return np.asarray(
-        values - scaled @ np.linalg.lstsq(weighted, values * root_weight, rcond=1e-9)[0], dtype=np.float64
-    )
+    normal = weighted.T @ weighted
+    normal[np.diag_indices_from(normal)] += _RIDGE * (np.trace(normal) / len(normal) or 1.0)
+    coefficients = np.linalg.solve(normal, weighted.T @ (values * root_weight))
+    return np.asarray(values - scaled @ coefficients, dtype=np.float64)
 
 
 def fast_mode_derivatives(tau_s: Floats, fast_deflection: Floats, terms: Floats) -> Floats | None:

@@ -84,14 +84,18 @@ class PassingDeflections:
             yield block
         self._has_passed = True
 
+    def pass_first(self) -> None:
+        """Make the first pass, if it was not made."""
+        if not self._has_passed:
+            for _ in self:
+                pass
+
     def fast_ratio(self) -> float:
         """Fast over slow motion (r.m.s. about the median, NaN left out) of all frames; 0 without slow motion.
 
         The first pass is made if it was not. The coordinates are then discarded: call it once.
         """
-        if not self._has_passed:
-            for _ in self:
-                pass
+        self.pass_first()
         spread_x, spread_y = _spread(self._x), _spread(self._y)
         return spread_x / spread_y if spread_y > 0 else 0.0
 

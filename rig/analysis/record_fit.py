@@ -13,7 +13,7 @@ from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT, RecordedClockStep
 from calibration import relate_clocks
-from processing.balance import balance_of_run
+from processing.balance import Balance, balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitMethod, Ground
@@ -32,7 +32,7 @@ from rig.analysis.passing_deflections import (
 from rig.analysis.results import RunResults
 from rig.analysis.run_values import Beam, RunClock
 from rig.analysis.series import AnalysedRun
-from rig.analysis.turning_plane import follow_plane
+from rig.analysis.turning_plane import balances_for_plane, follow_plane
 from rig.instrument import (
     U_QUARTZ,
     inputs_sha256,
@@ -44,6 +44,9 @@ from rig.instrument import (
 from rig.intake import SeismometerRecord
 from rig.settings import FITTED, Configuration, PreflightSettings, refuse_without_effect
 from rig.terminal import Verdict, percent
+
+_KEPT_PIECES = 128
+"""Chunks of numbers, of a quarter of a megabyte each, that stay in memory: spots are read three times."""
 
 
 def analyse_record(
@@ -58,7 +61,7 @@ def analyse_record(
     Without `air_known` the drag has no prior, whatever the record's own configuration states. `seismometer`
     is an auxiliary seismometer's record; None: that in the run's own record is used, if there is one.
     """
-    with RecordReader(path) as reader:
+    with RecordReader(path, _KEPT_PIECES) as reader:
         config = recorded_configuration(reader, overrides)
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
@@ -72,6 +75,7 @@ def analyse_record(
             reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.next_sequence - frames,
+            balances=reader.balances(),
             seismometer=seismometer,
         )
 
@@ -104,29 +108,38 @@ def analyse_run(
     beam: BeamUse,
     dropped: Callable[[int], int],
     *,
+    balances: Sequence[Balance] = (),
     seismometer: SeismometerRecord | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
     `blocks` are the deflections of consecutive frames, in `unit`. Once they have passed, `beam` has the
     counts of their spots, and `dropped` gives the number of missing frames from that of the frames present.
-    The motion of the beam by a reference spot, and fixed light, are taken off.
+    The motion of the beam by a reference spot, and fixed light, are taken off. `balances` are those that were
+    made of the same deflections; after such a correction, or where they lack, they are made again.
     """
     beam_motion, fixed_light = without_beam_motion(reader, config), without_fixed_light(reader, config)
     for correction in (beam_motion, fixed_light):
         if correction is not None and correction.used:
             blocks = ChangedDeflections(blocks, correction.correct)
-            swings = half_cycles_of_blocks(blocks)
+            swings, balances = half_cycles_of_blocks(blocks), ()
     deflections, ambient = PassingDeflections(blocks, unit), recorded_ambient(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     kind = config.instrument.description()
-    followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
+    followed = follow_plane(
+        swings,
+        deflections,
+        config.axes,
+        along_line=kind.turning_plane,
+        balances=balances_for_plane(balances, swings, config.axes),
+    )
     if seismometer is None:
         seismometer = recorded_seismometer(reader, config)
     else:
         utc_ns = reader.epoch_offset_ns
+        deflections.pass_first()
         seismometer = replace(seismometer, to_file_ns=-deflections.first_ns, to_utc_ns=utc_ns)
     run = analyse_swings(reader.path, followed, config, ambient, u_clock, seismometer)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)

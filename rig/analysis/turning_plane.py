@@ -25,6 +25,8 @@ _FIRST_BALANCES: Final = 10
 """Number of balances at the beginning, where the fast mode is largest."""
 _MIN_SAMPLES_PER_PERIOD: Final = 100
 """Fewest samples of a slow period that make its balance, where the period has as many."""
+_MIN_BALANCED_FRACTION: Final = 0.9
+"""Smallest fraction of a decay's periods with a balance for these balances to be taken over."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
 
@@ -151,6 +153,23 @@ def _oblique_rad(axes: Axes) -> float:
     return -axes.non_orthogonality_rad if axes.mirrored else axes.non_orthogonality_rad
 
 
+def balances_for_plane(
+    balances: Sequence[Balance], swings: Sequence[HalfCycle], axes: Axes | None
+) -> Sequence[Balance] | None:
+    """The balances that a run made along its axes, as `follow_plane` takes them; None if it cannot.
+
+    The axes have to be at a right angle, and nearly every period of the decay needs a balance: the estimate
+    of a run may have failed while its detector went on.
+    """
+    unflagged = [swing for swing in swings if not swing.flags]
+    if len(unflagged) < 2 or _oblique_rad(axes or _ORTHOGONAL_AXES):
+        return None
+    first, last = unflagged[0], unflagged[-1]
+    made = [balance for balance in balances if first.turn_time_ns <= balance.time_ns <= last.turn_time_ns]
+    is_whole = 2.0 * len(made) > _MIN_BALANCED_FRACTION * (last.index - first.index) - 2.0
+    return made if made and is_whole else None
+
+
 def follow_plane(
     swings: Sequence[HalfCycle],
     deflections: PassingDeflections,
@@ -171,7 +190,7 @@ def follow_plane(
         Whether to turn onto the line of the motion itself. Otherwise the axes count as calibrated at the
         beginning of the decay.
     balances
-        Balances of the whole decay by `PlaneBalances`; None: they are made of the deflections.
+        Balances of the whole decay along axes at a right angle; None: they are made of the deflections.
 
     Notes
     -----

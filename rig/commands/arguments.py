@@ -92,7 +92,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     if path.is_dir() and (records_in_folder(path) or any(path.glob("results*.json"))):
         return "records"
     # imported here: the readers of films take a second
-    from rig.intake import is_filmed
+    from rig.intake.film import is_filmed
 
     if path.is_dir():
         return "film" if is_filmed(path) else "records"

@@ -21,7 +21,8 @@ from rig.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from rig.intake import FilmOptions, SeismometerRecord
+    from rig.intake import SeismometerRecord
+    from rig.intake.film import FilmOptions
 
 
 @in_json
@@ -140,7 +141,7 @@ def fit(
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
-        from rig.intake import FilmOptions
+        from rig.intake.film import FilmOptions
 
         refuse_options("on a film; leave it out", table_options, {"--seismometer": seismometer})
         options = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
@@ -169,9 +170,11 @@ def fit(
 def _seismometer(
     path: Path | None, columns: Sequence[str], offset_s: float | None
 ) -> "SeismometerRecord | None":
+    if path is None:
+        return None
     from rig.intake import read_seismometer
 
-    return None if path is None else read_seismometer(path, columns, offset_s)
+    return read_seismometer(path, columns, offset_s)
 
 
 def fit_records(
@@ -231,7 +234,7 @@ def fit_film(
     `run` selects a film of a folder by its name or number; if it is empty, all films are fitted.
     """
     from rig.commands.table_fits import TableOptions, fit_several
-    from rig.intake import film_trajectory, films_in
+    from rig.intake.film import film_trajectory, films_in
     from rig.terminal import ProgressLine, print_line
 
     if overrides and config is None:

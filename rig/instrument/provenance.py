@@ -14,10 +14,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from acquisition.camera import CameraInfo, Frame
+from acquisition.record.codec import encode_window
 from acquisition.record.digest import camera_metadata
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CLOCK
-from acquisition.record.writer import encode_window
 from processing import spot as spots
 from processing import swing as swings
 from processing.errors import ConfigurationError, RecordError

@@ -1,4 +1,7 @@
-"""Tables, films and seismograms of other instruments, read as samples against time, and doubts about them."""
+"""Tables, films and seismograms of other instruments, read as samples against time, and doubts about them.
+
+The readers of films, which load OpenCV, are not named here: they stand in `rig.intake.film`.
+"""
 
 from rig.intake.doubts import (
     clipping_warnings,
@@ -8,7 +11,6 @@ from rig.intake.doubts import (
     missing_for_laws,
     strange_amplitudes,
 )
-from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.seismometer import FIRST_UTC_S, SeismometerRecord, read_seismometer
 from rig.intake.table import TableColumns
 from rig.intake.times import fast_mode_ratio, fast_oscillation

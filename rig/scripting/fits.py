@@ -17,7 +17,8 @@ from rig.analysis import (
     session_results,
     with_laws,
 )
-from rig.intake import FilmOptions, TableColumns, film_trajectory, read_seismometer
+from rig.intake import TableColumns, read_seismometer
+from rig.intake.film import FilmOptions, film_trajectory
 from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.scripting.session import Record, Session, as_list, setting_texts
 from rig.settings import Configuration, load_configuration

@@ -122,6 +122,7 @@ def _analyse(reader: RecordReader, config: Configuration, result: ReplayResult) 
         config.deflection_unit,
         result.beam,
         lambda _: result.dropped_frames,
+        balances=result.balances,
     )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from acquisition.record import pixels_path
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
+from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
@@ -26,6 +27,7 @@ class ReplayResult(NamedTuple):
     """Results of a replay."""
 
     half_cycles: list[HalfCycle]
+    balances: list[Balance]
     deflections: list[Deflections]
     """Deflections in the blocks in which they were processed."""
     dropped_frames: int
@@ -73,6 +75,7 @@ class Replay:
         self._pipeline = Pipeline(optics_of(config, reader.full_scale_dn), self._shape)
         self._window: RecordedWindow | None = None
         self._half_cycles: list[HalfCycle] = []
+        self._balances: list[Balance] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
         self._last_sequence = -1
@@ -91,6 +94,7 @@ class Replay:
             block = self._block(rows, spots)
             sequences = rows["sequence"].astype(np.int64)
             self._half_cycles += block.half_cycles
+            self._balances += block.balances
             self._deflections.append(block.deflections)
             self._beam.take(sequences, [spot.flags for spot in spots])
             self._comparison.spots(rows, spots)
@@ -99,10 +103,14 @@ class Replay:
 
     def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results."""
-        self._half_cycles += self._pipeline.finish()[0]
+        half_cycles, balances = self._pipeline.finish()
+        self._half_cycles += half_cycles
+        self._balances += balances
         dropped = self._last_sequence + 1 - sum(map(len, self._deflections))
         comparison = self._comparison.finish(self._reader.swings(), self._half_cycles)
-        return ReplayResult(self._half_cycles, self._deflections, dropped, comparison, self._beam)
+        return ReplayResult(
+            self._half_cycles, self._balances, self._deflections, dropped, comparison, self._beam
+        )
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:

@@ -11,10 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from processing.balance import balance_of_run
+from calibration import Axes
+from processing.balance import BalanceEstimator, balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
 from rig.analysis import AnalysedRun, follow_plane, session_results
 from rig.analysis.results import RunResults
+from rig.analysis.turning_plane import balances_for_plane
 from rig.instrument import balance_failures, balance_verdicts
 from tests.rig.analysis.spinning import (
     DEG_PER_MIN,
@@ -240,3 +242,24 @@ def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditio
         assert abs(item["value"] - true) < 3 * item["standard_uncertainty"]
         assert item["standard_uncertainty"] < 0.01 * true
     assert any("turned back" in note for note in run["notes"])
+
+
+def test_the_balances_of_a_run_give_its_plane() -> None:
+    # as in a run: all samples, along its axes, block by block
+    seen = positions(Spin(FAST), seed=3, duration_s=200.0)
+    swings, passing = passed(seen)
+    estimator = BalanceEstimator()
+    recorded = [balance for block in passing for balance in estimator.update(block)]
+    taken = balances_for_plane(recorded, swings, Axes())
+    assert taken == [b for b in recorded if swings[0].turn_time_ns <= b.time_ns <= swings[-1].turn_time_ns]
+    by_recorded = follow_plane(swings, passing, Axes(), balances=taken)
+    by_deflections = follow_plane(swings, passing, Axes())
+    assert by_recorded.is_turned
+    assert by_recorded.plane is not None
+    assert by_deflections.plane is not None
+    difference = by_recorded.plane.mean_rate() - by_deflections.plane.mean_rate()
+    assert abs(difference) < 3.0 * by_deflections.plane.u_mean_rate()
+    # an estimate that failed in the middle of the run, and axes along which no line has its true angle
+    assert balances_for_plane(recorded[: len(recorded) // 2], swings, Axes()) is None
+    assert balances_for_plane([], swings, Axes()) is None
+    assert balances_for_plane(recorded, swings, Axes(non_orthogonality_rad=0.01)) is None

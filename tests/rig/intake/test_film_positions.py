@@ -15,8 +15,7 @@ import scipy
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
-from rig.intake import FilmOptions, film_trajectory
-from rig.intake.film import has_dark_object, inverted
+from rig.intake.film import FilmOptions, film_trajectory, has_dark_object, inverted
 from rig.terminal import ProgressLine
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
