@@ -236,8 +236,8 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:
         width_px, height_px = (max(_MIN_PX, min(size, _MAX_PX)) for size in (width, height))
         zoom = max(1.0, min(zoom, _MAX_ZOOM))
-        png = await run_in_threadpool(picture_now, desk, width_px, height_px, zoom)
-        return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
+        jpeg = await run_in_threadpool(picture_now, desk, width_px, height_px, zoom)
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     @app.get(SERVED + "/{name:path}")
     async def session_file(name: str) -> Response:
