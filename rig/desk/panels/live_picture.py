@@ -15,7 +15,9 @@ from rig.devices import AlignmentFrame, annotated_picture
 
 _INTERVAL_S = 0.2
 """A picture is that of the request before, so this is its age, too."""
-_QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
+_QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 90)
+# the colours of neighbours are not averaged: a single saturated pixel keeps its own
+_SAMPLING = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 _NUMBERS = count()
 
 
@@ -94,5 +96,5 @@ def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes
         left, top = (width_px - columns) // 2, (height_px - rows) // 2
         canvas[top : top + rows, left : left + columns] = picture
     # a PNG takes ten times as long
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(canvas, cv2.COLOR_RGB2BGR), _QUALITY)
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(canvas, cv2.COLOR_RGB2BGR), (*_QUALITY, *_SAMPLING))
     return jpeg.tobytes()

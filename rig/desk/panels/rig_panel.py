@@ -165,7 +165,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
             histogram.show([[]], empty="no picture yet")
             return
         end_dn = frame.full_scale_dn + 1
-        counts = cv2.calcHist([frame.image], [0], None, [_HISTOGRAM_BARS], [0, end_dn])[:, 0].tolist()
+        counts = cv2.calcHist([frame.image], [0], None, [_HISTOGRAM_BARS], [0, end_dn]).ravel().tolist()
         width_dn = end_dn / _HISTOGRAM_BARS
         histogram.show(
             [[((k + 0.5) * width_dn, round(math.log10(1 + count), 3)) for k, count in enumerate(counts)]]
