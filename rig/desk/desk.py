@@ -52,7 +52,7 @@ class Desk:
         self.sessions = SessionIndex(self.config.session.output)
         self.last_start: StartedSession | None = None
         """The session that this desk started last; None before any."""
-        self.store = DeskStore(source)
+        self.store = DeskStore()
         self.alarming = Alarming(self)
         self.lighting = Lighting(self)
         self._lock = threading.Lock()

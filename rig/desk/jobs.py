@@ -139,8 +139,10 @@ class Job:
                     self.output.append(line.rstrip())
                     continue
                 if isinstance(content, dict):
+                    # a command that prints a single object names no kind
+                    content = {"kind": "result", **content}
                     self.lines.append(content)
-                    self.newest[str(content.get("kind"))] = content
+                    self.newest[str(content["kind"])] = content
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()

@@ -9,7 +9,7 @@ from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S
-from rig.desk.alarm_list import AlarmKey, AlarmRow
+from rig.desk.alarm_list import AlarmKey
 from rig.desk.desk import Desk
 from rig.desk.dialogs import keys_dialog
 from rig.desk.follower import phase_text
@@ -73,11 +73,10 @@ def _refresh_bars(desk: Desk) -> None:
 
     def refresh() -> None:
         lamp_values = json.dumps(lamps(desk.safety, _recording(desk)))
-        alarms = json.dumps([_alarm_values(row) for row in desk.alarming.alarms.rows() if row.is_loud])
-        session = json.dumps(_session_age(desk))
-        ui.run_javascript(
-            f"window.rigSafety({lamp_values}, {alarms}); window.rigAlarms({alarms}, {session});"
-        )
+        # an alarm that is raised again has another name
+        loud = [f"{row.key}@{row.raised_s:.2f}" for row in desk.alarming.alarms.rows() if row.is_loud]
+        alarms, session = json.dumps(" ".join(loud)), json.dumps(_session_age(desk))
+        ui.run_javascript(f"window.rigSafety({lamp_values}, {alarms}); window.rigNews({session});")
 
     refresh()
     ui.timer(_BARS_INTERVAL_S, refresh)
@@ -108,12 +107,6 @@ def _build_panels(desk: Desk, tab: Tab) -> None:
     panels.on_value_change(note_panel)
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
-
-
-def _alarm_values(row: AlarmRow) -> dict[str, str]:
-    # an alarm that is raised again has another name
-    name = f"{row.key}@{row.raised_s:.2f}"
-    return {"name": name, "title": row.key, "text": f"{row.cause}\n{row.key.remedy}"}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:

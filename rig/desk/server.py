@@ -142,7 +142,7 @@ def open_desk(
 
     `port` 0 stands for the last port, else the default one, else any. The runs of an `archive`, if it exists,
     are listed as well. The address with its key is printed on stdout. Raises ConfigurationError if a desk of
-    this configuration is open already.
+    its folder of sessions is open already.
     """
     desk = Desk(source, overrides, archive)
     desk.store.hold(desk.config.session.output)
@@ -182,7 +182,7 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
     desk.follower.start()
     desk.alarming.start()
     address = f"http://{LOOPBACK}:{page_port}/?key={desk.store.key}"
-    desk.store.opened_at(address, page_port)
+    desk.store.opened_at(address)
     print(address, flush=True)
     say("the desk is at this address, in a browser on this machine; Ctrl-C ends it, sessions go on")
     if browser:
@@ -236,8 +236,8 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:
         width_px, height_px = (max(_MIN_PX, min(size, _MAX_PX)) for size in (width, height))
         zoom = max(1.0, min(zoom, _MAX_ZOOM))
-        png = await run_in_threadpool(picture_now, desk, width_px, height_px, zoom)
-        return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
+        jpeg = await run_in_threadpool(picture_now, desk, width_px, height_px, zoom)
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     @app.get(SERVED + "/{name:path}")
     async def session_file(name: str) -> Response:

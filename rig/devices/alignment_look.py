@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -250,8 +250,9 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     size = max(1, round(region_width * scale)), max(1, round(region_height * scale))
     # the root is taken of each possible value, not of each pixel, which is faster
     roots = np.sqrt(np.arange(np.iinfo(region.dtype).max + 1) / look.full_scale_dn)
-    brightness = _resize(roots[region], size, scale)
-    picture = np.repeat((255.0 * np.clip(brightness, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
+    brightness = (255.0 * np.minimum(roots, 1.0)).round().astype(np.uint8)
+    grey = _resized(brightness[region], size, scale)
+    picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
     line_width = max(1, round(min(size) / 300))
 
     def pixel(x_px: float, y_px: float) -> tuple[int, int]:
@@ -278,7 +279,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     is_saturated = region >= look.full_scale_dn
     if is_saturated.any():
         # a pixel of the picture is marked if any part of it is saturated
-        saturated = _resize(is_saturated.astype(np.float64), size, scale) > 0.0
+        saturated = _resized(is_saturated.astype(np.float32), size, scale) > 0.0
         picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 
@@ -293,7 +294,7 @@ def _shown_region(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int
     return left, top, min(width, columns), min(height, rows)
 
 
-def _resize(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
+def _resized(values: NDArray[Any], size: tuple[int, int], scale: float) -> NDArray[Any]:
     """Resized values: means over areas if reduced, repeated pixels if enlarged."""
     interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
-    return np.asarray(cv2.resize(values, size, interpolation=interpolation), dtype=np.float64)
+    return cv2.resize(values, size, interpolation=interpolation)

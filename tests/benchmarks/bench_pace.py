@@ -53,7 +53,7 @@ class Case(NamedTuple):
 
 
 WAYS = ("alone", "with desk and viewer")
-PICTURES_HZ = 10.0
+PICTURES_HZ = 5.0
 _BEGIN_S = 0.5
 CASES = (Case(640, 480, 500.0), Case(256, 256, 2000.0), Case(640, 480, 1000.0))
 
@@ -68,7 +68,7 @@ class Company(NamedTuple):
 
 @contextmanager
 def looked_at(source: Path) -> Iterator[None]:
-    """`rig desk` in a process, and a thread that asks it for ten pictures a second, as a browser does."""
+    """`rig desk` in a process, and a thread that asks it for five pictures a second, as a browser does."""
     desk, ended = DeskProcess(source), threading.Event()
     address = urllib.parse.urlsplit(desk.address)
     key = urllib.parse.parse_qs(address.query)["key"][0]
@@ -180,7 +180,7 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
 
 @contextmanager
 def desk_and_viewer() -> Iterator[Company]:
-    """A desk that asks for ten pictures a second, and a live page, as with mode "web"."""
+    """A desk that asks for five pictures a second, and a live page, as with mode "web"."""
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place) / "session"
         folder.mkdir()

@@ -15,6 +15,8 @@ from rig.desk.tab import Tab, box, text_field
 from rig.instrument import Phase
 
 _SIZE = (420, 300)
+_REDRAW_INTERVAL_S = 1.0
+"""Interval of what grows with the run: its events, and the curve of the amplitude."""
 _ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
 _ASK_KILL = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
@@ -130,9 +132,9 @@ def _build_state(desk: Desk, tab: Tab) -> None:
         estimates = tables.table(run_texts.estimate_rows(follower.state), "parameters so far")
         return f"{estimates}{tables.table(follower.news.get('rows') or [], 'state of the run')}"
 
-    def events() -> str:
+    def list_events() -> None:
         newest_first = reversed(run_texts.sorted_events(tuple(follower.events)))
-        return "".join(map(run_texts.event_line, newest_first))
+        events.set_content("".join(map(run_texts.event_line, newest_first)))
 
     with box("state of the run", "shrinks old-with-session", region="state of the run"):
         tab.html(state)
@@ -141,16 +143,15 @@ def _build_state(desk: Desk, tab: Tab) -> None:
             field = text_field("note").props("maxlength=2000").classes("full-width")
             field.on("keydown.enter", tab.handler(note))
             tab.button("Note", note, 'outline aria-label="note it in the record"')
-        tab.html(events, "events", 'role="log" aria-label="events" tabindex="0"')
+        events = ui.html(sanitize=False).classes("events")
+        events.props('role="log" aria-label="events" tabindex="0"')
+    tab.on_interval(_REDRAW_INTERVAL_S, list_events)
 
 
 def _step_bar(desk: Desk) -> str:
     if not desk.follower.running and not desk.starting:
         return ""
     return run_texts.step_bar(desk.follower.state, (desk.follower.config or desk.config).start.way)
-
-
-_REDRAW_INTERVAL_S = 1.0
 
 
 def _build_decay(desk: Desk, tab: Tab) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
+import cv2
 from nicegui import run, ui
 from nicegui.events import MouseEventArguments
 
@@ -27,6 +27,7 @@ KEYS = (("z", "rig: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _HISTOGRAM_BARS = 64
 _MAX_FOCUS_POINTS = 200
+_REDRAW_INTERVAL_S = 0.5
 _MIN_REGION_PX = 8
 _MAX_LAMP_CHARACTERS = 24
 """Longest text of a number in a lamp."""
@@ -163,10 +164,11 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
         if frame is None:
             histogram.show([[]], empty="no picture yet")
             return
-        counts, edges_dn = np.histogram(frame.image, _HISTOGRAM_BARS, (0, frame.full_scale_dn + 1))
-        levels_dn = (0.5 * (edges_dn[1:] + edges_dn[:-1])).tolist()
+        end_dn = frame.full_scale_dn + 1
+        counts = cv2.calcHist([frame.image], [0], None, [_HISTOGRAM_BARS], [0, end_dn]).ravel().tolist()
+        width_dn = end_dn / _HISTOGRAM_BARS
         histogram.show(
-            [[(dn, round(math.log10(1 + count), 3)) for dn, count in zip(levels_dn, counts, strict=True)]]
+            [[((k + 0.5) * width_dn, round(math.log10(1 + count), 3)) for k, count in enumerate(counts)]]
         )
 
     tab.on_refresh(take)
@@ -177,7 +179,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
     histogram = Chart("histogram", "level_dn", (ChartCurve("pixels", style="bar"),), "small")
     focus = Chart("focus", "elapsed_s", (ChartCurve("sharpness_per_px"),), "small")
     tab.html(figures, props='aria-live="off"')
-    tab.on_refresh(draw)
+    tab.on_interval(_REDRAW_INTERVAL_S, draw)
 
 
 def _build_setting(desk: Desk, tab: Tab, name: str, label: str, align_keys: str) -> None:

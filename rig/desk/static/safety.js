@@ -39,9 +39,8 @@
     // the page leaves room for the bar
     document.documentElement.style.setProperty('--safety', element('safety').offsetHeight + 'px');
   }
-  window.rigSafety = (newLamps, alarms) => {
-    lamps = newLamps; newsAt = performance.now();
-    deskAlarms = alarms.map(alarm => alarm.name).join(' ');
+  window.rigSafety = (newLamps, namesOfLoud) => {
+    lamps = newLamps; newsAt = performance.now(); deskAlarms = namesOfLoud;
     updateSound();
     draw();
   };

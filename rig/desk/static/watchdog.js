@@ -10,7 +10,7 @@ window.rigJudge = ({since, answers, session}, {staleS, deadS}) => {
 };
 (() => {
   const ASK_MS = 1000, ASK_WITHIN_MS = 1500;
-  let newsAt = null, newsTime = null, session = null, notified = new Set(), answers = null, askedAt = -Infinity;
+  let newsAt = null, newsTime = null, session = null, answers = null, askedAt = -Infinity;
   const clock = time => time.toLocaleTimeString('en-GB');
   const seconds = s => s.toFixed(0) + ' s';
   function ask() {
@@ -42,35 +42,18 @@ window.rigJudge = ({since, answers, session}, {staleS, deadS}) => {
     document.documentElement.classList.toggle('old', verdict.state === 'behind');
     const [head, remedy] = texts(verdict), shown = head + remedy;
     if (bar.dataset.shown !== shown) {
-      const first = bar.dataset.state !== verdict.state;
       bar.dataset.shown = shown;
-      bar.dataset.state = verdict.state;
       bar.replaceChildren(document.createTextNode(head));
       const small = document.createElement('small');
       small.textContent = remedy;
       bar.append(small);
       bar.hidden = !shown;
-      if (dead && first) notify('desk lost', head, remedy);
     }
     if (window.rigCry) window.rigCry(dead ? 'desk lost' : null);
   }
-  function notify(tag, title, body) {
-    if (!('Notification' in window) || Notification.permission !== 'granted') return;
-    try {
-      const shown = new Notification(title, {body: body, tag: tag, requireInteraction: true});
-      window.rigNotified = (window.rigNotified || []).concat([title]);
-      shown.onclick = () => window.focus();
-    } catch (error) { console.log('no notification: ' + error); }
-  }
-  window.rigAlarms = (alarms, newSession) => {
+  window.rigNews = newSession => {
     newsAt = performance.now(); newsTime = new Date(); session = newSession;
-    for (const alarm of alarms) if (!notified.has(alarm.name)) notify(alarm.title, alarm.title, alarm.text);
-    notified = new Set(alarms.map(alarm => alarm.name));
     look();
   };
-  // a browser asks for this permission only after a click
-  document.addEventListener('click', () => {
-    if ('Notification' in window && Notification.permission === 'default') Notification.requestPermission();
-  }, {once: true, capture: true});
   setInterval(look, 250);
 })();

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import typer
 
+from acquisition.camera import PluggedCamera
 from rig.cli import app
 from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, rig, set_words
 from tests.rig.commands.wrong_inputs import commands
@@ -129,6 +130,11 @@ def _inputs(name: str, folder: Path) -> None:
             light = np.exp(-((columns - x_px) ** 2 + (rows - 20) ** 2) / 18)
             image = np.rint(5 + 200 * light).astype(np.uint8)
             assert cv2.imwrite(str(folder / "film" / f"{number:03d}.png"), image)
+
+
+def test_the_page_names_the_keys_of_a_camera() -> None:
+    page = (CONFIGS.parent / "docs" / "scripts.md").read_text(encoding="utf-8")
+    assert ", ".join(f"`{key}`" for key in PluggedCamera._fields) in page
 
 
 @pytest.mark.slow

@@ -61,20 +61,20 @@ def browser() -> Iterator[HeadlessBrowser]:
         yield opened
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def desk_file(desk_configuration: Callable[[str], Path]) -> Path:
     """The configuration of `shown`."""
     return desk_configuration("")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def desk_output(desk_file: Path) -> Path:
     """Where `shown` looks for sessions."""
     return desk_file.parent / "runs"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shown(desk_file: Path, browser: HeadlessBrowser) -> Iterator[tuple[DeskProcess, Page]]:
-    """A desk with its page, on which nothing is measured."""
+    """A desk with its page, on which nothing is measured; one for the tests of several files."""
     with desk_page(browser, desk_file) as opened:
         yield opened

@@ -1,6 +1,5 @@
 """What happens to a session, its folder and the configuration is an alarm of the desk, without a page."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -24,8 +23,19 @@ from tests.rig.desk.conftest import simulated_rig
 from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[3]
-IGNORES = ("sh", "-c", "trap '' TERM; exec \"$@\"", "-")
-"""What it runs hears no SIGTERM."""
+HANGS = """
+import ctypes, signal, sys
+from pathlib import Path
+from rig.devices import OrderSocket, SessionNews
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+with OrderSocket(Path(sys.argv[1]), SessionNews(), {}):
+    print("begun", flush=True)
+    sys.stdin.readline()
+    # a call that keeps the interpreter: no thread runs any more
+    ctypes.PyDLL(None).pause()
+"""
+"""A session that hears no SIGTERM, and hangs after a line on standard input."""
 
 
 @pytest.fixture
@@ -41,24 +51,6 @@ def desk(config: Path) -> Iterator[Desk]:
     found.alarming.start()
     yield found
     found.close()
-
-
-@pytest.fixture
-def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
-    """A session in a process of its own, which the desk follows; its parameter is what runs it."""
-    folder = config.parent / "runs" / "session"
-    with subprocess.Popen(
-        [*getattr(request, "param", ()), sys.executable, "-m", "tests.rig.desk.told_session", str(folder)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "begun\n"
-        until(lambda: desk.follower.news)
-        yield process
-        process.kill()
 
 
 def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.ACTIVE) -> str:
@@ -91,29 +83,20 @@ def test_a_new_session_leaves_what_was_before_unheard(config: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_session_that_is_frozen_and_one_that_is_killed(
-    desk: Desk, session: "subprocess.Popen[str]"
-) -> None:
-    os.kill(session.pid, signal.SIGSTOP)
-    wait_for(desk, AlarmKey.SESSION_FROZEN)
-    os.kill(session.pid, signal.SIGCONT)
-    wait_for(desk, AlarmKey.SESSION_FROZEN, AlarmState.CLEARED)
-    session.kill()
+def test_a_session_that_hangs_is_an_alarm_and_stop_kills_it(desk: Desk, config: Path) -> None:
+    words = [sys.executable, "-c", HANGS, str(config.parent / "runs" / "session")]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        until(lambda: desk.follower.news)
+        process.stdin.write("\n")
+        process.stdin.flush()
+        wait_for(desk, AlarmKey.SESSION_FROZEN)
+        assert "was killed, Resume" in desk.stop_session(max_wake_s=1.0)
+        assert process.wait(30.0) == -signal.SIGKILL
     assert wait_for(desk, AlarmKey.SESSION_DIED).startswith("session: ")
-    desk.alarming.alarms.acknowledge(AlarmKey.SESSION_DIED)
-    wait_for(desk, AlarmKey.SESSION_DIED, None)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("session", [IGNORES], indirect=True)
-def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    assert session.stdin is not None
-    session.stdin.write('{"hang": true}\n')
-    session.stdin.flush()
-    until(lambda: desk.follower.frozen)
-    assert "was killed, Resume" in desk.stop_session(max_wake_s=1.0)
-    assert session.wait(30.0) == -signal.SIGKILL
-    wait_for(desk, AlarmKey.SESSION_DIED)
 
 
 def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:

@@ -40,28 +40,18 @@ def fetch(address: str, path: str, cookie: str = "") -> http.client.HTTPResponse
 
 
 @pytest.mark.slow
-def test_a_desk_that_has_served_ends_with_its_terminal(desk_configuration: Callable[[str], Path]) -> None:
-    desk = DeskProcess(desk_configuration(""))
-    try:
-        address = desk.address
-        entered = fetch(address, f"/?{urllib.parse.urlsplit(address).query}")
-        cookie = str(entered.headers["Set-Cookie"]).partition(";")[0]
-        # made in a thread of the server, which waits for more
-        assert fetch(address, "/picture", cookie).status == 200
-        status, said = desk.ended(signal.SIGHUP)
-        assert status == 0
-        assert "Traceback" not in "".join(said)
-    finally:
-        desk.kill()
-
-
-@pytest.mark.slow
-def test_a_desk_serves_the_page_before_light_off_is_heard_at_the_other_port(
+def test_a_desk_whose_light_off_is_late_serves_and_ends_with_its_terminal(
     desk_configuration: Callable[[str], Path],
 ) -> None:
     desk = DeskProcess(desk_configuration(""), program=("-c", OFF_IS_LATE))
     try:
-        assert fetch(desk.address, f"/?{urllib.parse.urlsplit(desk.address).query}").status == 303
-        assert desk.ended()[1][1:] == []
+        address = desk.address
+        entered = fetch(address, f"/?{urllib.parse.urlsplit(address).query}")
+        assert entered.status == 303
+        cookie = str(entered.headers["Set-Cookie"]).partition(";")[0]
+        # made in a thread of the server, which waits for more
+        assert fetch(address, "/picture", cookie).status == 200
+        status, said = desk.ended(signal.SIGHUP)
+        assert (status, said[1:]) == (0, [])
     finally:
         desk.kill()

@@ -16,7 +16,6 @@ from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
-from tests.rig.desk.test_page import RECORD
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
@@ -42,10 +41,25 @@ kind = "tomlinson"
 Rig = tuple[BoardProcess, DeskProcess, Page, Path]
 
 
-@pytest.fixture
-def rig(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> Iterator[Rig]:
-    """A board, a desk of it, its page, its configuration."""
-    with board_process() as board:
+@pytest.fixture(scope="module")
+def state_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the rig's state is, for all tests of this file and their desk."""
+    return tmp_path_factory.mktemp("state")
+
+
+@pytest.fixture(autouse=True)
+def _use_state_home(state_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(state_home))
+
+
+@pytest.fixture(scope="module")
+def rig(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser, state_home: Path
+) -> Iterator[Rig]:
+    """A board, a desk of it, its page, its configuration; each test leaves them dark and acknowledged."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        patch.setenv("XDG_STATE_HOME", str(state_home))
+        board = stack.enter_context(board_process())
         config = desk_configuration(SERIAL.replace("PORT", board.port))
         # the usual port may be taken by another desk of this machine before this one is opened again
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -75,105 +89,6 @@ def session_of(config: Path) -> tuple[Path, int]:
     return folder.parent, int(json.loads(folder.read_text())["pid"])
 
 
-GREY = "getComputedStyle(document.querySelector('.q-tab-panels')).filter.includes('grayscale')"
-
-
-def test_light_off_darkens_the_live_picture_until_acknowledged_and_a_desk_that_dies_is_said(rig: Rig) -> None:
-    """Of a desk that hangs, and then dies, the page says so, and it finds the next one."""
-    board, desk, page, config = rig
-    page.click("Live picture")
-    board.wait_lit(True)
-    page.wait(f"{LAMP.format('laser')} === 'laser on'")
-    page.wait(f"{LAMP.format('interlock')} === 'interlock closed'")
-    page.wait_text("nearest edge")
-    page.ask("document.getElementById('light-off').click()")
-    board.wait_lit(False)
-    page.wait_text("LIGHT OFF was pressed")
-    # an own act is no alarm, and neither is what follows from it; a picture that is late on a busy machine is
-    # one, for a moment
-    page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
-    page.acknowledge()
-    page.wait_text("Light again".upper())
-    assert not board.lit
-    page.click("Light again")
-    board.wait_lit(True)
-    page.ask("document.getElementById('light-off').click()")
-    board.wait_lit(False)
-    page.click("Stop")
-    page.wait_text("No live picture yet")
-    fact = (
-        r"/^laser off, confirmed \d\d:\d\d:\d\d by board( and camera)?, \d+ s ago; light forbidden until ack/"
-    )
-    page.wait(f"{fact}.test({LAMP.format('laser')})")
-    # over device sets: the trip is the rig's
-    page.wait_text("LIGHT OFF was pressed")
-    page.click("Live picture")
-    page.wait_text("acknowledge it first")
-    page.acknowledge()
-    assert not board.lit
-    page.click("Live picture")
-    board.wait_lit(True)
-    audit = (config.parent / "runs" / "audit.jsonl").read_text()
-    told = [json.loads(line)["what"] for line in audit.splitlines()]
-    assert {"lit", "dark", "latch", "acknowledge"} <= set(told)
-    page.wait(f"{LAMP.format('laser')} === 'laser on'")
-    page.ask(RECORD)
-    desk.send(signal.SIGSTOP)
-    page.wait_text("Not connected: the desk does not answer (last heard at")
-    page.wait_text("start rig desk again: this page reconnects automatically")
-    assert page.ask(GREY)
-    page.wait("window.rigBeep && window.told.some(one => one[2] === 'desk lost')")
-    desk.kill()
-    # no last value; on a busy machine the picture may have stood still, and its light gone off, just before
-    page.wait(f"/^laser (unknown; on|off), confirmed /.test({LAMP.format('laser')})")
-    page.wait(f"{LAMP.format('age')}.includes('not connected')")
-    page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
-    page.point_at("document.getElementById('light-off')")
-    page.wait_text("DID NOT REACH THE DESK")
-    again = DeskProcess(config)
-    try:
-        assert again.address == desk.address
-        page.wait(f"!{GREY} && !window.rigBeep && document.querySelector('.q-tab') !== null")
-        # that camera sees light whatever the board does, which is a trip once it was told to be dark
-        page.click("Live picture")
-        page.wait("/nearest edge|acknowledge it first/.test(document.body.innerText)")
-    finally:
-        again.ended()
-
-
-def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
-    rig: Rig, browser: HeadlessBrowser
-) -> None:
-    board, desk, page, config = rig
-    start(page)
-    board.wait_lit(True, 120)
-    page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
-    _, pid = session_of(config)
-    page.wait_text("laser on")
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        page.wait_text("Session does not answer")
-        page.wait("/no frame for \\d+ s: values are old/.test(document.body.innerText)")
-        with browser.another() as other:
-            second = Page(other)
-            second.browser.call(
-                "Emulation.setDeviceMetricsOverride", width=360, height=640, deviceScaleFactor=1, mobile=True
-            )
-            second.open(desk.address)
-            second.key("?")
-            second.wait("document.querySelector('.q-dialog table') !== null")
-            second.wait(f"{LAMP.format('laser')}.startsWith('laser unknown; on, confirmed ')")
-            second.point_at("document.getElementById('light-off')")
-            pressed_ns = time.monotonic_ns()
-            dark_ns = board.wait_lit(False)
-            # the board's own watchdog would take 1.4 s after the freeze, which is long ago or still to come
-            assert dark_ns < pressed_ns + 5_000_000_000
-    finally:
-        os.kill(pid, signal.SIGCONT)
-    page.wait_text("LIGHT OFF was pressed")
-    assert not board.lit
-
-
 EVERYTHING = (
     "[...document.querySelectorAll('button, a, input, textarea, select, [tabindex]')]"
     ".filter(e => e.offsetParent && !e.disabled && e.tabIndex >= 0 && !e.closest('#safety'))"
@@ -198,7 +113,7 @@ def test_what_is_typed_and_what_is_heard_late_light_nothing_and_a_held_key_does(
 
     Who pressed in vain has gone to look why, into the beam's way.
     """
-    board, _, page, config = rig
+    board, desk, page, config = rig
     killed = config.parent / "runs" / "killed"
     killed.mkdir(parents=True)
     file = SessionFile.create(killed, config, 1, stored_configuration(load_configuration(config)))
@@ -260,6 +175,10 @@ def test_what_is_typed_and_what_is_heard_late_light_nothing_and_a_held_key_does(
             hold(page)
         time.sleep(0.1)
     page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
+    page.click("Stop")
+    page.wait_text("No live picture yet")
+    # without what was typed
+    page.open(desk.address)
 
 
 def hold(page: Page) -> None:
@@ -307,3 +226,109 @@ def test_a_trip_of_the_live_picture_is_an_alarm_that_stays_once_it_is_stopped(ri
     page.click("Start the session")
     page.wait_text("acknowledge it first")
     assert not board.lit
+    page.click("close")
+    board.interlock(closed=True)
+    page.acknowledge()
+
+
+def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
+    rig: Rig, browser: HeadlessBrowser
+) -> None:
+    board, desk, page, config = rig
+    start(page)
+    board.wait_lit(True, 120)
+    page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+    _, pid = session_of(config)
+    page.wait_text("laser on")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        page.wait_text("Session does not answer")
+        page.wait("/no frame for \\d+ s: values are old/.test(document.body.innerText)")
+        with browser.another() as other:
+            second = Page(other)
+            second.browser.call(
+                "Emulation.setDeviceMetricsOverride", width=360, height=640, deviceScaleFactor=1, mobile=True
+            )
+            second.open(desk.address)
+            second.key("?")
+            second.wait("document.querySelector('.q-dialog table') !== null")
+            second.wait(f"{LAMP.format('laser')}.startsWith('laser unknown; on, confirmed ')")
+            second.point_at("document.getElementById('light-off')")
+            pressed_ns = time.monotonic_ns()
+            dark_ns = board.wait_lit(False)
+            # the board's own watchdog would take 1.4 s after the freeze, which is long ago or still to come
+            assert dark_ns < pressed_ns + 5_000_000_000
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    page.wait_text("LIGHT OFF was pressed")
+    assert not board.lit
+    page.click("Stop")
+    page.click("Stop it")
+    page.wait("document.getElementById('amplitude').offsetParent === null")
+    page.acknowledge()
+
+
+GREY = "getComputedStyle(document.querySelector('.q-tab-panels')).filter.includes('grayscale')"
+
+
+def test_light_off_darkens_the_live_picture_until_acknowledged_and_a_desk_that_dies_is_said(rig: Rig) -> None:
+    """Of a desk that hangs, and then dies, the page says so, and it finds the next one."""
+    board, desk, page, config = rig
+    page.key("1")
+    page.click("Live picture")
+    board.wait_lit(True)
+    page.wait(f"{LAMP.format('laser')} === 'laser on'")
+    page.wait(f"{LAMP.format('interlock')} === 'interlock closed'")
+    page.wait_text("nearest edge")
+    page.ask("document.getElementById('light-off').click()")
+    board.wait_lit(False)
+    page.wait_text("LIGHT OFF was pressed")
+    # an own act is no alarm, and neither is what follows from it; a picture that is late on a busy machine is
+    # one, for a moment
+    page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
+    page.acknowledge()
+    page.wait_text("Light again".upper())
+    assert not board.lit
+    page.click("Light again")
+    board.wait_lit(True)
+    page.ask("document.getElementById('light-off').click()")
+    board.wait_lit(False)
+    page.click("Stop")
+    page.wait_text("No live picture yet")
+    fact = (
+        r"/^laser off, confirmed \d\d:\d\d:\d\d by board( and camera)?, \d+ s ago; light forbidden until ack/"
+    )
+    page.wait(f"{fact}.test({LAMP.format('laser')})")
+    # over device sets: the trip is the rig's
+    page.wait_text("LIGHT OFF was pressed")
+    page.click("Live picture")
+    page.wait_text("acknowledge it first")
+    page.acknowledge()
+    assert not board.lit
+    page.click("Live picture")
+    board.wait_lit(True)
+    audit = (config.parent / "runs" / "audit.jsonl").read_text()
+    told = [json.loads(line)["what"] for line in audit.splitlines()]
+    assert {"lit", "dark", "latch", "acknowledge"} <= set(told)
+    page.wait(f"{LAMP.format('laser')} === 'laser on'")
+    desk.send(signal.SIGSTOP)
+    page.wait_text("Not connected: the desk does not answer (last heard at")
+    page.wait_text("start rig desk again: this page reconnects automatically")
+    assert page.ask(GREY)
+    page.wait("window.rigBeep")
+    desk.kill()
+    # no last value; on a busy machine the picture may have stood still, and its light gone off, just before
+    page.wait(f"/^laser (unknown; on|off), confirmed /.test({LAMP.format('laser')})")
+    page.wait(f"{LAMP.format('age')}.includes('not connected')")
+    page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
+    page.point_at("document.getElementById('light-off')")
+    page.wait_text("DID NOT REACH THE DESK")
+    again = DeskProcess(config)
+    try:
+        assert again.address == desk.address
+        page.wait(f"!{GREY} && !window.rigBeep && document.querySelector('.q-tab') !== null")
+        # that camera sees light whatever the board does, which is a trip once it was told to be dark
+        page.click("Live picture")
+        page.wait("/nearest edge|acknowledge it first/.test(document.body.innerText)")
+    finally:
+        again.ended()

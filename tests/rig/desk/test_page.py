@@ -31,14 +31,6 @@ Shown = tuple[DeskProcess, Page]
 FRAME = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
 SPOT = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
 OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id.slice(1))).chart"
-RECORD = """
-window.told = [];
-window.Notification = class {
-  constructor(title, how) { window.told.push([title, how.body, how.tag, how.requireInteraction]); }
-};
-window.Notification.permission = 'granted';
-"""
-"""A browser without windows grants no notifications: what is asked of it is kept."""
 
 
 def news() -> SessionNews:
@@ -247,25 +239,15 @@ def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(shown: Shown, desk
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
 
-def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk_output: Path) -> None:
+def test_what_is_being_pressed_stays_while_its_alarm_goes_on(shown: Shown, desk_output: Path) -> None:
     _, page = shown
-    page.ask(RECORD)
     session_news = news()
     folder = desk_output / "told"
     folder.mkdir(parents=True)
     session_news.preflight([Verdict("spot", False, "it is lost", "look for it")])
-    of_preflight = f"window.told.filter(one => one[2] === {str(AlarmKey.PREFLIGHT)!r})"
     with OrderSocket(folder, session_news, {}):
         session_news.state({"phase": "preflight"}, [])
-        page.wait(f"{of_preflight}.length")
-        ((title, text, _, stays),) = page.ask(of_preflight)
-        assert (title, stays) == (AlarmKey.PREFLIGHT, True)
-        assert AlarmKey.PREFLIGHT.remedy in text
-        # the page is told four times a second what cries
         page.wait_text(sentence(AlarmKey.PREFLIGHT.remedy))
-        page.wait("(window.looks = (window.looks || 0) + 1) > 15")
-        assert page.ask(f"{of_preflight}.length") == 1
-        # what is being pressed stays while its alarm goes on
         row = f"document.querySelector('[data-alarm=\"{AlarmKey.STALLED}\"]')"
         session_news.state({"phase": "preflight", "alarm": "nothing processed for 5 s"}, [])
         page.wait(f"{row}?.textContent.includes('for 5 s')")
@@ -312,8 +294,8 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
         page.click("+")
     page.wait_text("244.141 µs")
     page.wait("!document.body.innerText.includes('saturated\\tnone')")
-    pixels = page.browser.picture().reshape(-1, 3)
-    assert np.any(np.all(pixels == (213, 94, 0), axis=1)), "saturated pixels are drawn in their colour"
+    off = np.abs(page.browser.picture().reshape(-1, 3).astype(int) - (213, 94, 0)).max(axis=1)
+    assert np.count_nonzero(off < 12) > 20, "saturated pixels are drawn in their colour"
     page.ask("document.querySelector('[aria-label=\"larger gain\"]').click()")
     page.wait_text("gain 1 dB")
     page.drag(".picture img", (0.45, 0.3), (0.55, 0.7))

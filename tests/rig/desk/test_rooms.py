@@ -65,11 +65,22 @@ def test_a_region_that_is_drawn_beyond_the_frame_ends_at_its_edge(
     assert (region.offset_y_px, region.height_px) == (48, 144)
 
 
-def test_a_turn_is_stated_between_two_measurements_only(desk: Desk) -> None:
+FORGETS = """print('{"forgotten": "nothing learned yet", "turns": []}')"""
+"""Stands for `rig balance --forget-last --json`, which prints one object."""
+
+
+def test_without_a_measurement_a_turn_is_forgotten_but_not_stated(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", FORGETS, **how))
     assert desk.balancing.dialogue.stage is BalanceStage.IDLE
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.state_turn("x", "0.5")
     desk.balancing.end()
+    desk.balancing.forget()
+    assert desk.jobs["balance"].wait(50.0)
+    dialogue = desk.balancing.dialogue
+    assert (dialogue.stage, dialogue.detail) == (BalanceStage.ENDED, "nothing learned yet")
 
 
 ECHO = """
