@@ -109,8 +109,10 @@ def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
 
 def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
     words = set_words({**SMALL, "simulation.optics.peak_dn": "0", "session.max_duration_s": "5"})
-    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words)
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words, figures=True)
     assert done.returncode == 1
+    assert "0 half-cycles" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert not (tmp_path / "out" / "report" / "run-1" / "fig12-decay.svg").exists()
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         assert "spot lost" in [event.kind for event in reader.events()]
         assert all(math.isnan(x) for x in reader.spots()["x_px"])
