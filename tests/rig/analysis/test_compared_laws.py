@@ -16,6 +16,14 @@ from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.rig.command_line import rig
 
+PENDULUM = """
+[pendulum]
+mass_kg = 0.406
+ball_radius_m = 6.05e-3
+ball_material = "steel"
+flat_material = "glass_k8"
+"""
+
 
 def swings(path: Path) -> Path:
     """The paper's pendulum on glass down to 60 arcsec, with noise, in arcsec."""
@@ -31,10 +39,7 @@ def swings(path: Path) -> Path:
 @pytest.mark.slow
 def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
-    config.write_text(
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
-        'ball_material = "steel"\nflat_material = "glass_k8"\n'
-    )
+    config.write_text(PENDULUM)
     done = rig(
         "fit", swings(tmp_path / "t.csv"), "--config", config, "--law", "viscous", "-o", tmp_path / "out"
     )
@@ -61,10 +66,7 @@ def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
 def test_what_a_table_states_no_uncertainty_of_is_said(tmp_path: Path, stated: str, said: list[str]) -> None:
     """50 ppm of the clock moved T0 by 2.4 u, and only the angles were said to be taken as exact."""
     path = tmp_path / "mine.toml"
-    path.write_text(
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
-        f'ball_material = "steel"\nflat_material = "glass_k8"\n{stated}'
-    )
+    path.write_text(PENDULUM + stated)
     lines = _exact_scale_notes(load_configuration(path, needs_camera=False))
     assert [line.split("table's ")[1].split()[0] for line in lines] == said
 

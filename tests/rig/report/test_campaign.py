@@ -14,7 +14,8 @@ import pytest
 from processing.ambient import AmbientConditions, other_unit_warning
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from processing.fit import AIR, LinearisedFit, drift_effects
+from processing.fit import AIR, Budget, LinearisedFit, drift_effects
+from processing.fit.uncertainty import BudgetSource
 from processing.series import EndSide, Form, to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import RunResults, TableDecay, analyse_record, read_results
@@ -33,7 +34,6 @@ from tests.rig.report.made_sessions import (
     humid_campaign,
     run,
     session,
-    twice,
 )
 
 REFERENCE_RAD = 60 * ARCSEC_RAD
@@ -156,6 +156,26 @@ def test_a_likelihood_is_that_of_its_results() -> None:
     assert likelihood.covariates["humidity_percent"] == 45.0
 
 
+def test_what_is_known_of_the_air_is_shared_by_runs_and_no_scatter_of_theirs() -> None:
+    one = run(1, GLASS, np.random.default_rng(3))
+    fit, nan = one.fits["exact"], np.nan
+    lines = [
+        BudgetSource("swings", "A", nan, nan, 6e-5, 0.36),
+        BudgetSource("air", "B", nan, nan, 8e-5, 0.64),
+    ]
+    budget = Budget(value=2e-3, standard_uncertainty=1e-4, sources=tuple(lines))
+    parameters = {**fit.parameters, "drag_s": Estimate(2e-3, 1e-4)}
+    found = compressed(
+        replace(
+            one,
+            fits={"exact": replace(fit, parameters=parameters)},
+            budget={**one.budget, "drag_s": budget},
+        )
+    )
+    at = found.names.index("drag_s")
+    assert found.covariance[at, at] / found.shared["air"][at] ** 2 == pytest.approx(0.36 / 0.64)
+
+
 @pytest.mark.parametrize(
     ("value", "u", "is_bounded"), [(1e-8, 6e-9, True), (-2e-9, 6e-9, True), (1e-8, 4e-9, False)]
 )
@@ -273,7 +293,7 @@ def test_a_folder_or_a_run_that_is_there_twice_counts_once(tmp_path: Path) -> No
         with pytest.raises(ConfigurationError, match=named):
             runs_of_folders([folder, again])
     first = run(1, GLASS, np.random.default_rng(1))
-    session(tmp_path / "tuesday", [first, twice(first)])
+    session(tmp_path / "tuesday", [first, replace(first, record="run-9.mcap")])
     with pytest.raises(ConfigurationError, match=r"tuesday/run-9: is the run of tuesday/run-1 \(same hash\)"):
         runs_of_folders([tmp_path / "tuesday"])
 

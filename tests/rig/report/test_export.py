@@ -125,7 +125,7 @@ def test_the_tables_of_a_report_are_exported_for_latex(exported: dict[str, list[
 
 @pytest.mark.slow
 def test_hdf5_is_laid_out_as_nexus(
-    exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
+    measured_series: Path, exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
 ) -> None:
     swings, first, series = truth["swings"], results["runs"][0], results["series"]
     with h5py.File(*exported["hdf5"]) as file:
@@ -154,6 +154,8 @@ def test_hdf5_is_laid_out_as_nexus(
             datetime.fromisoformat(entry[name][()].decode()) for name in ("start_time", "end_time")
         )
         assert (ended - began).total_seconds() == pytest.approx(70.0, abs=1.0)
+        with RecordReader(measured_series / "run-1.mcap") as reader:
+            assert began == reader.utc(int(truth["spots"]["time_ns"][0]))
         assert file["series"].attrs["NX_class"] == "NXentry"
         assert json.loads(file["series/results/json"][()]) == series
         gamma = file["series/results/values/exact/gamma_pa_errors"]
