@@ -301,6 +301,22 @@ def test_looks_that_cannot_be_believed_are_rejected_and_the_turn_is_kept(
     assert (pair.weight, pair.parts) == ("x", (0.2,))
 
 
+def test_a_spot_that_is_gone_is_searched_on_both_sides_of_where_the_turn_began(
+    tmp_path: Path, sound: Balance
+) -> None:
+    session = LearnedTurns(random_start(1).config, tmp_path / "history.jsonl")
+    session.take(BalanceMeasurement(sound, 0.0, SHAPE))
+    session.note_turns("x", [0.4])
+    place, places = 0.4, []
+    for _ in range(4):
+        session.take(BalanceMeasurement(None, 1.0, SHAPE))
+        back = session.way_back()
+        assert back is not None
+        session.note_turns("x", back.parts)
+        places.append(place := place + back.turns)
+    assert places == pytest.approx([0.2, 0.0, 0.6, 0.8])
+
+
 def test_a_change_that_the_turn_cannot_have_made_is_not_learned(
     tmp_path: Path, sound: Balance, capsys: pytest.CaptureFixture[str]
 ) -> None:
