@@ -36,19 +36,6 @@ def swings(path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
-    config = tmp_path / "mine.toml"
-    config.write_text(PENDULUM)
-    done = rig(
-        "fit", swings(tmp_path / "t.csv"), "--config", config, "--law", "viscous", "-o", tmp_path / "out"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "linear drag alone" in done.stdout
-    laws = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]["laws"]
-    assert {"paper", "viscous"} <= set(laws["laws"])
-
-
 def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
     done = rig("fit", swings(tmp_path / "t.csv"), "--law", "all")
     assert done.returncode != 0

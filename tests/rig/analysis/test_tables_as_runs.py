@@ -130,17 +130,21 @@ def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -> None:
+def test_a_fitted_table_gives_the_report_the_laws_and_the_plan_of_a_run(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
     config.write_text(PENDULUM)
-    done = rig("fit", swings(tmp_path / "t.csv"), "--config", config, "-o", tmp_path / "out", figures=True)
+    words = ("--config", config, "--law", "viscous", "-o", tmp_path / "out")
+    done = rig("fit", swings(tmp_path / "t.csv"), *words, figures=True)
     assert done.returncode == 0, done.stderr
+    assert "linear drag alone" in done.stdout
     made = {path.name for path in (tmp_path / "out" / "report" / "run-1").iterdir()}
     assert {"residuals.svg", "table4-loops.svg"} <= made
     planned = rig("plan", tmp_path / "out", "--first", "124", "--last", "30", "--json")
     assert planned.returncode == 0, planned.stderr
     (row,) = json.loads(planned.stdout)["plan"]
     (run,) = read_results(tmp_path / "out").runs
+    assert run.laws is not None
+    assert {"paper", "viscous"} <= set(run.laws.laws)
     # b rests on the waveform of the swings, which results do not hold; n does not
     assert "without the waveform" in planned.stdout + planned.stderr
     # the run that was made goes to an amplitude of 60 arcsec; one to 30 tells more

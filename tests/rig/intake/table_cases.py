@@ -479,7 +479,7 @@ def _files() -> list[TableCase]:
         _case("UTF-16 with its mark", plain.encode("utf-16"), unit="mm"),
         _case("UTF-16 without its mark", plain.encode("utf-16-le"), refused="is no text"),
         _case("UTF-8 with its mark", plain.encode("utf-8-sig"), unit="mm"),
-        _case("gzip", gzip.compress(plain.encode()), ending="csv.gz", unit="mm"),
+        _case("gzip, a loud ending", gzip.compress(plain.encode()), ending="CSV.GZ", unit="mm"),
         _case("npy, two columns", npy(pairs), ending="npy"),
         _case("npy, two rows", npy(pairs.T), ending="npy"),
         _case("npy, names", npy(named), ending="npy", unit="mm"),
