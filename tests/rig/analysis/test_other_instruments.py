@@ -89,7 +89,7 @@ def test_two_balls_from_frames(tmp_path: Path) -> None:
         "two_ball",
         tmp_path / "two",
         *(f"simulation.contact.{name}={value}" for name, value in truth.items()),
-        "session.final_amplitude_arcsec=4.0",
+        "session.final_amplitude_arcsec=15.0",
         "simulation.sensor.width_px=160",
         "camera.frame_rate_hz=50",
         "view.mode=none",

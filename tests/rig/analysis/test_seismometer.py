@@ -18,7 +18,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
 from processing.fit.seismometer import SeismometerVerdict
-from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, record_fit, session_results
+from rig.analysis import AnalysedTable, analyse_record, record_fit, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import seismometer_sentences
@@ -133,12 +133,12 @@ def test_an_unrelated_seismometer_changes_nothing_but_what_is_said(decay: Path) 
 
 @pytest.mark.slow
 def test_a_record_with_a_seismometer_of_another_year_says_that_it_does_not_cover_the_run(
-    analysed_run: AnalysedRun, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     times = 1.2e9 + STEP_S * np.arange(2000)
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
-    alone = analysed_run
+    alone = analyse_record(SAMPLES / "series" / "run-1.mcap")
     found = analyse_record(alone.path, seismometer=read_seismometer(path))
     assert found.seismometer is not None
     assert found.seismometer.verdict is SeismometerVerdict.ABSENT
