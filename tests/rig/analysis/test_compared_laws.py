@@ -16,6 +16,14 @@ from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.rig.command_line import rig
 
+PENDULUM = """
+[pendulum]
+mass_kg = 0.406
+ball_radius_m = 6.05e-3
+ball_material = "steel"
+flat_material = "glass_k8"
+"""
+
 
 def swings(path: Path) -> Path:
     """The paper's pendulum on glass down to 60 arcsec, with noise, in arcsec."""
@@ -26,22 +34,6 @@ def swings(path: Path) -> Path:
         "t [s],phi [arcsec]\n" + "".join(f"{a:.2f},{b:.4f}\n" for a, b in zip(t, phi, strict=True))
     )
     return path
-
-
-@pytest.mark.slow
-def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
-    config = tmp_path / "mine.toml"
-    config.write_text(
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
-        'ball_material = "steel"\nflat_material = "glass_k8"\n'
-    )
-    done = rig(
-        "fit", swings(tmp_path / "t.csv"), "--config", config, "--law", "viscous", "-o", tmp_path / "out"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "linear drag alone" in done.stdout
-    laws = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]["laws"]
-    assert {"paper", "viscous"} <= set(laws["laws"])
 
 
 def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
@@ -61,10 +53,7 @@ def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
 def test_what_a_table_states_no_uncertainty_of_is_said(tmp_path: Path, stated: str, said: list[str]) -> None:
     """50 ppm of the clock moved T0 by 2.4 u, and only the angles were said to be taken as exact."""
     path = tmp_path / "mine.toml"
-    path.write_text(
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
-        f'ball_material = "steel"\nflat_material = "glass_k8"\n{stated}'
-    )
+    path.write_text(PENDULUM + stated)
     lines = _exact_scale_notes(load_configuration(path, needs_camera=False))
     assert [line.split("table's ")[1].split()[0] for line in lines] == said
 

@@ -146,7 +146,7 @@ def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
         World(event_s=at_s, knock_rad_per_s=5.0 * ARCSEC_RAD * rate_rad_per_s),
         q=1e-9,
         seed=1,
-        last_arcsec=20.0,
+        last_arcsec=50.0,
         frames_per_s=25.0,
         forcing=lambda time_s: np.where(time_s < at_s, 0.0, rate_rad_per_s**2 * moved),
     )

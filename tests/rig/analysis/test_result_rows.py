@@ -272,21 +272,6 @@ _RUN = RunResults(
 )
 
 
-def with_apparatus() -> RunResults:
-    """The run where E of the flat makes most of the doubt of b."""
-    sources = (
-        BudgetSource("flat_youngs_modulus_pa", "B", 1e9, 1e-13, 1e-4, 0.99),
-        BudgetSource("swings", "A", nan, nan, 1e-5, 0.01),
-    )
-    whole = Budget(
-        value=3.5e-3,
-        standard_uncertainty=1e-4,
-        sources=sources,
-    )
-    rows = (*_RUN.table[:2], replace(_RUN.table[2], u_total=1e-4), *_RUN.table[3:])
-    return replace(_RUN, budget={"b": whole}, table=rows)
-
-
 @pytest.mark.parametrize("verbose", [False, True])
 def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_where_asked(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, verbose: bool
@@ -295,7 +280,14 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
     met = Verdict("lost spots", ok=True, measured="0 %", limit="1 %")
     wished = Verdict("beam", ok=True, reason="it is wide", remedy="focus it", measured="9 px", limit="12 px")
     failed = Verdict("end", ok=False, reason="it was cut", remedy="measure again", measured="", limit="whole")
-    run = replace(with_apparatus(), conditions=(met, wished, failed))
+    # E of the flat makes most of the doubt of b
+    sources = (
+        BudgetSource("flat_youngs_modulus_pa", "B", 1e9, 1e-13, 1e-4, 0.99),
+        BudgetSource("swings", "A", nan, nan, 1e-5, 0.01),
+    )
+    whole = Budget(value=3.5e-3, standard_uncertainty=1e-4, sources=sources)
+    rows = (*_RUN.table[:2], replace(_RUN.table[2], u_total=1e-4), *_RUN.table[3:])
+    run = replace(_RUN, budget={"b": whole}, table=rows, conditions=(met, wished, failed))
     print_results(SessionResults(runs=(run,)), [])
     printed = capsys.readouterr().out
     assert "LOST SPOTS" not in printed

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -173,3 +174,49 @@ def test_an_assumed_rate_is_as_uncertain_as_its_clocks(
     assert u_assumed == pytest.approx(50e-6, rel=0.1)
     assert u_calibrated == pytest.approx(2e-6, rel=0.01)
     assert u_contradicted == pytest.approx(1e-3, rel=0.1)
+
+
+TRUE = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "period0_s": 4.071}
+REFLECTION = {
+    **SMALL,
+    "session.max_duration_s": "300",
+    "camera.frame_rate_hz": "8",
+    "simulation.reference.relative": "0.03",
+    # the spot swings along x 79.5, past y 400
+    "simulation.reference.y_px": "400",
+    "simulation.reference.x_px": "83.5",
+}
+WITHOUT_PIXELS = {
+    **REFLECTION,
+    "session.max_duration_s": "30",
+    "record.windows": "false",
+    "record.full_frame_interval_s": "2",
+    "instrument.kind": '"tomlinson"',
+}
+
+
+def measured(folder: Path, words: dict[str, str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A run's results, and its condition of fixed light."""
+    rig("run", CONFIGS / "demo.toml", "-o", folder, *set_words(words))
+    run: dict[str, Any] = json.loads((folder / "results.json").read_text())["runs"][0]
+    (found,) = [one for one in run["conditions"] if one["name"] == "fixed light"]
+    return run, found
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
+def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(tmp_path: Path) -> None:
+    run, said = measured(tmp_path / "run", REFLECTION)
+    exact = run["fits"]["exact"]
+    for name, true in TRUE.items():
+        assert abs(exact[name]["value"] - true) < 2.5 * exact[name]["standard_uncertainty"], name
+    assert exact["c"]["standard_uncertainty"] < 0.07 * TRUE["c"]
+    # as without the light: none is left out; the last half-cycle may miss the end of the record
+    assert run["half_cycles"] >= 142
+    assert said["ok"]
+    assert "taken off" in said["measured"]
+    assert "light that stays where it is, 3" in said["reason"]
+    _, said = measured(tmp_path / "without", WITHOUT_PIXELS)
+    assert not said["ok"]
+    assert "not taken off, as the record has no pixels of the spot" in said["measured"]
+    assert "block it" in said["remedy"]

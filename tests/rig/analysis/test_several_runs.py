@@ -130,7 +130,8 @@ def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Pat
         assert abs(value - decrement) < 4 * u
         page = (tmp_path / "out" / f"run-{number}" / "report.html").read_text()
         assert f"runs.csv, run {number}" in page
-        assert [row["state"] for row in session_rows(tmp_path / "out" / f"run-{number}")[0]] == ["whole"]
+        (row,) = session_rows(tmp_path / "out" / f"run-{number}")[0]
+        assert (row["run"], row["state"]) == (f"runs-run-{number}", "whole")
     again = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out")
     assert again.returncode != 0
     assert "run-1/results.json: exists already" in again.stderr
@@ -139,11 +140,6 @@ def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Pat
     assert "log decrement" in compared.stdout
     for number, decrement in enumerate(DECREMENTS, 1):
         assert re.search(rf"^run-{number}/\S+ .* {decrement:.1f}\d+ ± ", compared.stdout, re.MULTILINE)
-    assert rig("archive", "add", tmp_path / "out", "--archive", tmp_path / "archive").returncode == 0
-    listed = rig(
-        "archive", "list", "--archive", tmp_path / "archive", "--columns", "run,log_decrement"
-    ).stdout
-    assert {line.split()[0] for line in listed.splitlines()[1:3]} == {"runs-run-1", "runs-run-2"}
 
 
 def test_a_run_without_a_decay_does_not_keep_the_others_from_theirs(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from processing.ambient import AmbientConditions
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
-from tests.rig.analysis.test_compared_laws import swings
+from tests.rig.analysis.test_compared_laws import PENDULUM, swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import CONFIGS, rig
 from tests.rig.intake.test_film_positions import swing
@@ -108,13 +108,19 @@ def test_the_archive_says_what_became_of_a_table(tmp_path: Path) -> None:
 def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
     done = rig("export", fitted / "brass", "-o", tmp_path / "csv")
     assert done.returncode == 0, done.stderr
-    for number, run in enumerate(read_results(fitted / "brass").runs, start=1):
-        rows = exported(tmp_path / "csv" / f"brass-decay-{number}-swings.csv")
-        assert run.turning_points is not None
-        np.testing.assert_allclose(rows["amplitude_mm"], run.turning_points.amplitude, rtol=1e-12)
-    positions = exported(tmp_path / "csv" / "brass-decay-1-spots.csv")
     table = np.loadtxt(fitted / "brass.txt")
-    assert np.isin(np.round(positions["time_s"], 6), np.round(table[:, 0], 6)).all()
+    for number, run in enumerate(read_results(fitted / "brass").runs, start=1):
+        rows, positions = (
+            exported(tmp_path / "csv" / f"brass-decay-{number}-{what}.csv") for what in ("swings", "spots")
+        )
+        stored, decay = run.turning_points, run.decay
+        assert stored is not None
+        assert decay is not None
+        np.testing.assert_allclose(rows["amplitude_mm"], stored.amplitude, rtol=1e-12)
+        np.testing.assert_allclose(rows["time_s"], stored.first_ns * 1e-9 + stored.time_s, rtol=1e-12)
+        of_decay = table[(table[:, 0] >= decay.began_s) & (table[:, 0] <= decay.ended_s)]
+        np.testing.assert_allclose(positions["time_s"], of_decay[:, 0], atol=1e-6)
+        np.testing.assert_allclose(positions["position_1_mm"], of_decay[:, 1], rtol=1e-6)
     h5py = pytest.importorskip("h5py")
     assert rig("export", fitted / "steel", "-o", tmp_path / "x.h5", "--format", "hdf5").returncode == 0
     with h5py.File(tmp_path / "x.h5") as file:
@@ -124,20 +130,21 @@ def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -> None:
+def test_a_fitted_table_gives_the_report_the_laws_and_the_plan_of_a_run(tmp_path: Path) -> None:
     config = tmp_path / "mine.toml"
-    config.write_text(
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
-        'ball_material = "steel"\nflat_material = "glass_k8"\n'
-    )
-    done = rig("fit", swings(tmp_path / "t.csv"), "--config", config, "-o", tmp_path / "out", figures=True)
+    config.write_text(PENDULUM)
+    words = ("--config", config, "--law", "viscous", "-o", tmp_path / "out")
+    done = rig("fit", swings(tmp_path / "t.csv"), *words, figures=True)
     assert done.returncode == 0, done.stderr
+    assert "linear drag alone" in done.stdout
     made = {path.name for path in (tmp_path / "out" / "report" / "run-1").iterdir()}
     assert {"residuals.svg", "table4-loops.svg"} <= made
     planned = rig("plan", tmp_path / "out", "--first", "124", "--last", "30", "--json")
     assert planned.returncode == 0, planned.stderr
     (row,) = json.loads(planned.stdout)["plan"]
     (run,) = read_results(tmp_path / "out").runs
+    assert run.laws is not None
+    assert {"paper", "viscous"} <= set(run.laws.laws)
     # b rests on the waveform of the swings, which results do not hold; n does not
     assert "without the waveform" in planned.stdout + planned.stderr
     # the run that was made goes to an amplitude of 60 arcsec; one to 30 tells more

@@ -14,7 +14,15 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, check_archive, find_runs, list_runs, query_runs, update_archive
+from rig.archive import (
+    add_folders,
+    check_archive,
+    find_runs,
+    list_runs,
+    ordered_runs,
+    query_runs,
+    update_archive,
+)
 from rig.archive.listing import open_for_writing, write_sessions
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import SAMPLES, rig
@@ -369,21 +377,25 @@ def test_a_bound_of_zero_is_listed_as_one(tmp_path: Path, capsys: pytest.Capture
 
 def test_runs_are_listed_as_they_were_measured(tmp_path: Path) -> None:
     """The tenth run of a session stands after its second, although its clock was set back meanwhile."""
-    order = [
-        ("b", "run-1", "10:00"),
-        ("a", "run-2", "11:00"),
-        ("a", "run-10", "10:30"),
-        ("c", "run-1", "12:00"),
-    ]
+    order = {
+        ("b", "run-1"): "2026-11-30 10:00:00",
+        ("a", "run-2"): "2026-11-30 11:00:00",
+        ("a", "run-10"): "2026-11-30 10:30:00",
+        ("c", "run-1"): "2026-11-30 12:00:00",
+        ("a", "run-11"): "2026-12-01 01:00:00",
+        ("d", "run-1"): None,
+    }
     found = [
-        {"folder": folder, "run": run, "sha256": f"{folder}{run}", "began_utc": f"2026-11-30 {clock}:00"}
-        for folder, run, clock in order
+        {"folder": folder, "run": run, "sha256": f"{folder}{run}", "began_utc": began, "results": "x"}
+        for (folder, run), began in order.items()
     ]
     with open_for_writing(tmp_path / "archive.duckdb") as connection:
-        write_sessions(connection, dict.fromkeys("abc", "hash"), found[::-1])
-    for condition, count in (("", 4), ("sha256 <> 'x'", 4), ("limit 3", 3)):
+        write_sessions(connection, dict.fromkeys("abcd", "hash"), found[::-1])
+    for condition, count in (("", 6), ("sha256 <> 'x'", 6), ("limit 3", 3)):
         listed = rows(tmp_path / "archive.duckdb", condition, "folder, run")
-        assert [(row["folder"], row["run"]) for row in listed] == [each[:2] for each in order[:count]]
+        assert [(row["folder"], row["run"]) for row in listed] == [*order][:count]
+    # so are those of a campaign
+    assert [(row[3], row[1]) for row in ordered_runs(tmp_path / "archive.duckdb", "")] == [*order]
 
 
 def test_every_column_stands_in_the_reference() -> None:

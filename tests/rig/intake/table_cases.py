@@ -85,9 +85,7 @@ def judged(case: TableCase, folder: Path) -> TableOutcome:
         return TableOutcome("refused" if right else "wrong", str(error))
     if case.refused:
         return TableOutcome("wrong", "was read: " + "; ".join(found.understood))
-    times_s = np.array(true_ms()) / 1000.0
-    if case.rows != ROWS:
-        times_s = times_s[: case.rows]
+    times_s = np.array(true_ms()[: case.rows]) / 1000.0
     values = np.array(true_values())
     which = np.rint(found.times_ns / (1e6 * STEP_MS)).astype(np.int64)
     same = (
@@ -98,8 +96,7 @@ def judged(case: TableCase, folder: Path) -> TableOutcome:
         and found.unit == case.unit
     )
     said = "; ".join(found.understood)
-    if case.lost and f"left out: {case.lost} rows" not in said:
-        same = False
+    same &= not case.lost or f"left out: {case.lost} rows" in said
     kind = "wrong" if not same else "counted" if case.lost else "right"
     return TableOutcome(kind, said)
 
@@ -209,47 +206,8 @@ def _writing() -> list[TableCase]:
 
 
 def _units() -> list[TableCase]:
-    ms, us, minutes = (point(0), 1000.0), (point(0), 1e6), (point(9), 1 / 60.0)
-    heads = {
-        "time_ms": ms,
-        "t [ms]": ms,
-        "t/ms": ms,
-        "t (ms)": ms,
-        "Zeit in ms": ms,
-        "Zeit [msec]": ms,
-        "milliseconds": ms,
-        "Time (milliseconds)": ms,
-        "Zeit [µs]": us,
-        "Zeit [μs]": us,
-        "t_usec": us,
-        "time_us": us,
-        "t, us": us,
-        "time_minutes": minutes,
-        "Zeit [Minuten]": minutes,
-        "time_min": minutes,
-        "t / min": minutes,
-        "Time_Sec": (point(3), 1.0),
-        "TIME (S)": (point(3), 1.0),
-        "t [ns]": (point(0), 1e9),
-        "t/h": (point(12), 1 / 3600.0),
-    }
-    found = [
-        _case(f"header {name!r}", text(";", f"{name};x", cell, None, per_s))
-        for name, (cell, per_s) in heads.items()
-    ]
-    values = {
-        "x [mm]": "mm",
-        "U / V": "V",
-        "x_px": "px",
-        "x (µm)": "um",
-        "phi [arcsec]": "arcsec",
-        "phi (″)": "arcsec",
-        "Winkel [Bogensekunden]": "arcsec",
-        "x": "unit",
-    }
-    found += [_case(f"header {name!r}", text(";", f"t;{name}"), unit=unit) for name, unit in values.items()]
+    ms = text(";", "t [ms];x", point(0), None, 1000.0)
     return [
-        *found,
         _case("units in a line of their own", "t;x\n(s);(mm)\n" + text(";"), unit="mm"),
         _case(
             "units in a line, bare", "Zeit;Weg\nms;mm\n" + text(";", (), point(0), None, 1000.0), unit="mm"
@@ -266,14 +224,9 @@ def _units() -> list[TableCase]:
         ),
         _case(
             "stated time contradicts",
-            text(";", "t [ms];x", ms[0], None, ms[1]),
+            ms,
             TableColumns(time_unit="s"),
             refused="'t [ms]' says ms, --time-unit says s",
-        ),
-        _case(
-            "unknown unit of time",
-            text(";", "t [ticks];x"),
-            refused="'ticks' in 't [ticks]' is not a known unit of time",
         ),
         _case(
             "unknown unit of position", text(";", "t;x [foo]"), refused="'foo' in 'x [foo]' is not a known"
@@ -291,25 +244,34 @@ def _units() -> list[TableCase]:
 
 
 def _loggers() -> list[TableCase]:
-    """Headers as loggers and programs write them: a unit within a name, in a line of its own, unknown."""
+    """Headers as people, loggers and programs write them: a unit in a name, in a line of its own, unknown."""
     times = {
         ("ms", 1000.0): (
+            "time_ms", "t [ms]", "t/ms", "t (ms)", "Zeit in ms", "Zeit [msec]", "milliseconds",
+            "Time (milliseconds)",
             "Time (ms) Run #1", "Time(ms)*", "Time (ms) (A)", "time_ms_1", "time_ms.1", "t/ms Run 2",
             "Zeit in ms Messung 1", "Time, ms, Run 1", "Latest: Time (ms)", "timestamp_ms_utc",
             "Zeit [ms, relativ]", "Time ms", "Elapsed (MS)", "Time {ms}", "Time <ms>", "Time (Milliseconds)",
             "Time [Msec]", "Zeit Millisekunden", "ELAPSED_MS",
         ),
-        ("us", 1e6): ("t [us] A", "Time (µs) #2", "Time (μs) #2", "Zeit (Mikrosekunden)", "time_usec_raw"),
+        ("ns", 1e9): ("t [ns]",),
+        ("us", 1e6): (
+            "Zeit [µs]", "Zeit [μs]", "t_usec", "time_us", "t, us", "t [us] A", "Time (µs) #2",
+            "Time (μs) #2", "Zeit (Mikrosekunden)", "time_usec_raw",
+        ),
         ("s", 1.0): ("Time (s) Run #1", "Zeit (Sekunden)", "Sekunden", "items", "Time (Sec)",
-            "Time (s, relative)", "TEMPS", "ELAPSED"),
-        ("min", 1 / 60.0): ("Time (Minutes) Run #1", "time_min"),
+            "Time (s, relative)", "TEMPS", "ELAPSED", "Time_Sec", "TIME (S)"),
+        ("min", 1 / 60.0): ("Time (Minutes) Run #1", "time_min", "time_minutes", "Zeit [Minuten]", "t / min"),
+        ("h", 1 / 3600.0): ("t/h",),
     }  # fmt: skip
     found = [
-        _case(f"{unit}: {name}", text(";", f"{name};x", point(0 if per_s >= 1000 else 9), None, per_s))
+        _case(f"{unit}: {name}", text(";", f"{name};x", point(0 if per_s >= 1000 else 12), None, per_s))
         for (unit, per_s), names in times.items()
         for name in names
     ]
     positions = {
+        "x [mm]": "mm", "U / V": "V", "x_px": "px", "x (µm)": "um", "phi [arcsec]": "arcsec",
+        "phi (″)": "arcsec", "Winkel [Bogensekunden]": "arcsec", "x": "unit",
         "Weg (mm) Messung 1": "mm", "phi (arcsec)*": "arcsec", "x_mm_1": "mm", "omega_rad_per_s": "rad/s",
         "v in m/s": "m/s", "omega/deg/s": "deg/s", "Position (Millimeter)": "mm", "U (V) Ch A": "V",
         "Milliradians": "mrad", "Angle (arcsec) Run #1": "arcsec", "x_1": "unit", "x (1)": "unit",
@@ -319,6 +281,7 @@ def _loggers() -> list[TableCase]:
         _case(f"position: {name}", text(";", f"t;{name}"), unit=unit) for name, unit in positions.items()
     ]
     strange = {
+        "t [ticks]": "'ticks' in 't [ticks]' is not a known unit of time",
         "Time (ticks) Run #1": "'ticks' in 'Time (ticks) Run #1' is not a known unit of time",
         "time [100 ns]": "'100 ns' in",
         "t (Ms)": "'Ms' in",
@@ -397,7 +360,7 @@ def _times() -> list[TableCase]:
     start = datetime(2024, 5, 1, 12, 0, 0, 250_000, tzinfo=UTC)
     naive = start.replace(tzinfo=None)
     late = datetime(2024, 5, 1, 23, 59, 58)
-    ns = 1_763_800_000_123_456_789
+    since_1970 = text(",", (), lambda s: f"{1_763_800_000_123_456_789 + 1_000_000 * round(1000 * s)}")
     one = "".join(f"{x}\n" for x in true_values())
     restarted = text(",") + text(",")
     return [
@@ -412,29 +375,15 @@ def _times() -> list[TableCase]:
             "date and time apart", text(";", "d;t;x", _moments(lambda m: f"{m:%Y-%m-%d;%H:%M:%S.%f}", naive))
         ),
         _case("time of day over midnight", text(",", "t,x", _moments(lambda m: f"{m:%H:%M:%S.%f}", late))),
-        _case(
-            "ns since 1970",
-            "".join(f"{ns + 1_000_000 * ms},{x}\n" for ms, x in zip(true_ms(), true_values(), strict=True)),
-            TableColumns(time_unit="ns"),
-        ),
-        _case(
-            "ns since 1970, nothing stated",
-            "".join(f"{ns + 1_000_000 * ms},{x}\n" for ms, x in zip(true_ms(), true_values(), strict=True)),
-            refused="which no decay lasts",
-        ),
+        _case("ns since 1970", since_1970, TableColumns(time_unit="ns")),
+        _case("ns since 1970, nothing stated", since_1970, refused="which no decay lasts"),
         _case("one column, a rate", one, TableColumns(rate_hz=20.0)),
         _case("one column, named", "x\n" + one, TableColumns(rate_hz=20.0)),
         _case("one column, no rate", one, refused="--rate HZ"),
         _case("a rate and a time", text(), TableColumns(rate_hz=20.0, time="1"), refused="leave --time"),
         _case("a rate, two columns", text(), TableColumns(rate_hz=20.0), refused="--position"),
         _case("a rate, two columns, named", text(), TableColumns(rate_hz=20.0, positions=("2",))),
-        _case(
-            "time is not first",
-            "".join(
-                f"{k},{ms},{x}\n" if k else "sequence,time_ms,x\n" + f"0,0,{x}\n"
-                for k, (ms, x) in enumerate(zip(true_ms(), true_values(), strict=True))
-            ),
-        ),
+        _case("time is not first", text(",", "sequence,time_ms,x", lambda s: f"{20 * s:.0f},{1000 * s:.0f}")),
         _case("a stretch", text(), TableColumns(end_s=4.95), rows=100),
         _case("an empty stretch", text(), TableColumns(begin_s=99.0), refused="leaves no rows"),
         _case("times start again", restarted, refused="time does not increase"),
@@ -530,7 +479,7 @@ def _files() -> list[TableCase]:
         _case("UTF-16 with its mark", plain.encode("utf-16"), unit="mm"),
         _case("UTF-16 without its mark", plain.encode("utf-16-le"), refused="is no text"),
         _case("UTF-8 with its mark", plain.encode("utf-8-sig"), unit="mm"),
-        _case("gzip", gzip.compress(plain.encode()), ending="csv.gz", unit="mm"),
+        _case("gzip, a loud ending", gzip.compress(plain.encode()), ending="CSV.GZ", unit="mm"),
         _case("npy, two columns", npy(pairs), ending="npy"),
         _case("npy, two rows", npy(pairs.T), ending="npy"),
         _case("npy, names", npy(named), ending="npy", unit="mm"),

@@ -38,12 +38,6 @@ def test_a_file_of_another_program_is_never_taken_for_text(tmp_path: Path) -> No
     _refused(tmp_path / "a.jsonl", "holds 0 rows of numbers")
 
 
-def test_a_packed_table_is_read_whatever_the_case_of_its_ending(tmp_path: Path) -> None:
-    text = "time_s,x_mm\n" + "".join(f"{t},{x}\n" for t, x in zip(TIME_S, X, strict=True))
-    (tmp_path / "A.CSV.GZ").write_bytes(gzip.compress(text.encode()))
-    assert np.array_equal(TableColumns().read(tmp_path / "A.CSV.GZ").positions[0], X)
-
-
 def test_nothing_pickled_is_unpacked(tmp_path: Path) -> None:
     """An array of objects runs what it likes when it is loaded."""
 

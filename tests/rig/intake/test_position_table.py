@@ -30,18 +30,13 @@ def test_columns_by_name_and_number_give_the_same(tmp_path: Path, separator: str
     np.testing.assert_array_equal(by_name.times_ns, [0, 100_000_000, 200_000_000, 300_000_000, 400_000_000])
 
 
-def test_a_unit_that_is_no_angle_is_carried_as_it_is(tmp_path: Path) -> None:
-    path = write(tmp_path / "v.txt", "0 1\n1 2\n2 1\n")
-    trajectory = TableColumns(None, (), "V").read(path)
-    assert trajectory.unit == "V"
-    assert trajectory.scale_rad is None
-
-
 def test_every_angle_of_the_table_of_units_is_one(tmp_path: Path) -> None:
     """A table in mas was refused the laws: they need an angle."""
     path = write(tmp_path / "tilt.txt", "0 1\n1 2\n2 1\n")
     for unit in (one for one in _OTHERS if size(one).powers == size("rad").powers):
         assert TableColumns(None, (), unit).read(path).scale_rad == conversion(unit, "rad")
+    in_volts = TableColumns(None, (), "V").read(path)
+    assert (in_volts.unit, in_volts.scale_rad) == ("V", None)
 
 
 def test_real_table_with_two_header_lines(shared_data: Path) -> None:

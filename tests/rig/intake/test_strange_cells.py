@@ -23,17 +23,16 @@ def _table(path: Path, cell: Callable[[float], str], header: str = "t_s,x_mm") -
 @pytest.mark.parametrize("minus", ["\u2212", "\u2013"])
 def test_a_typesetters_minus_is_a_minus(tmp_path: Path, minus: str) -> None:
     """Half of a swing is below its middle: left out, nothing of it would remain."""
-    found = TableColumns().read(_table(tmp_path / "a.csv", lambda x: f"{x:.4f}".replace("-", minus)))
-    np.testing.assert_allclose(found.positions[0], X, atol=1e-4)
-    found = TableColumns().read(
-        _table(tmp_path / "b.csv", lambda x: f"{x:.4f}°".replace("-", minus), "t_s,x")
+    commas = "t_s;x_mm\n" + "".join(
+        f"{t:.3f};{x:.4f}\n".replace(".", ",") for t, x in zip(TIME_S, X, strict=True)
     )
-    np.testing.assert_allclose(found.positions[0], X, atol=1e-4)
-    text = "t_s;x_mm\n" + "".join(
-        f"{t:.3f};{x:.4f}\n".replace(".", ",").replace("-", minus) for t, x in zip(TIME_S, X, strict=True)
-    )
-    (tmp_path / "c.csv").write_text(text)
-    np.testing.assert_allclose(TableColumns().read(tmp_path / "c.csv").positions[0], X, atol=1e-4)
+    (tmp_path / "c.csv").write_text(commas.replace("-", minus))
+    for path in (
+        _table(tmp_path / "a.csv", lambda x: f"{x:.4f}".replace("-", minus)),
+        _table(tmp_path / "b.csv", lambda x: f"{x:.4f}°".replace("-", minus), "t_s,x"),
+        tmp_path / "c.csv",
+    ):
+        np.testing.assert_allclose(TableColumns().read(path).positions[0], X, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -57,14 +56,7 @@ def test_a_column_of_which_much_is_no_number_is_refused(
 def test_single_words_infinities_and_empty_cells_are_missing_and_counted(tmp_path: Path) -> None:
     path = _table(tmp_path / "decay.csv", lambda x: f"{x:.4f}")
     lines = path.read_text().splitlines()
-    for line, cell in (
-        (100, "inf"),
-        (101, "1e999"),
-        (102, "-Infinity"),
-        (103, "NaN"),
-        (104, "over"),
-        (105, "1_0"),
-    ):
+    for line, cell in enumerate(("inf", "1e999", "-Infinity", "NaN", "over", "1_0"), start=100):
         lines[line - 1] = f"{lines[line - 1].split(',')[0]},{cell}"
     path.write_text("\n".join(lines))
     found = TableColumns().read(path)

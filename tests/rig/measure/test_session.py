@@ -90,8 +90,12 @@ def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
 
 
 def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
-    session = run(tmp_path / "out", SMALL, simulation__optics__peak_dn="0", session__max_duration_s="5")
+    dark = set_words({**SMALL, "simulation.optics.peak_dn": "0", "session.max_duration_s": "5"})
+    folder = tmp_path / "out"
+    session = Session(folder, rig("run", CONFIGS / "demo.toml", "-o", folder, *dark, figures=True))
     assert session.done.returncode == 1
+    assert "0 half-cycles" in (folder / "report.html").read_text(encoding="utf-8")
+    assert not (folder / "report" / "run-1" / "fig12-decay.svg").exists()
     assert "spot lost" in dict(session.events)
     with RecordReader(session.record) as reader:
         assert all(math.isnan(x) for x in reader.spots()["x_px"])

@@ -30,7 +30,7 @@ def configuration(area_m2: float, **sections: Any) -> Any:
         "fast": {"amplitude_arcsec": 0.0},
         "ground": {"model": "none"},
         "sensor": {"width_px": 96},
-        "clock": {"frame_rate_hz": 25.0},
+        "clock": {"frame_rate_hz": 12.5},
     }
     record = {"windows": False, "full_frame_interval_s": 1000.0}
     tree = {"camera": {"driver": "simulated"}, "simulation": simulation, "record": record, **sections}

@@ -73,12 +73,8 @@ def in_use(**files: Path) -> Configuration:
 
 def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
     """A lever measured with 2 x 2 pixels, used with 4 x 4: one pixel of the image is four of the sensor."""
-    readings = [-60.0, -30.0, 0.0, 30.0, 60.0]
-    lines = ["kind = 'tilt'", "unit = 'arcsec'", "pixel_pitch_m = 4.8e-6", "binning = 2"]
-    for reading in readings:
-        lines += ["[[step]]", f"reference = {reading}", "x_px = 80.0", "u_px = 0.01"]
-        lines += [f"y_px = {160.0 - 0.5 * reading * ARCSEC_PX}"]
-    path = calibrate_lever(write(tmp_path / "l.toml", "\n".join(lines)), Filing(tmp_path / "c", 30, ""))
+    ladder = tilts(tmp_path / "l.toml", [-60.0, -30.0, 0.0, 30.0, 60.0], factor=0.5, extra="binning = 2")
+    path = calibrate_lever(ladder, Filing(tmp_path / "c", 30, ""))
     values = read_calibration(path, "lever").values
     assert (values["binning"], values["pixel_pitch_m"]) == (2, 9.6e-6)
     tree: dict[str, Any] = {"calibration": {"lever": str(path)}}
@@ -87,7 +83,7 @@ def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
     assert config.lever is not None
     assert config.lever.pixel_pitch_m == pytest.approx(4 * 4.8e-6)
     assert config.lever.arm_m == pytest.approx(1.0, rel=1e-6)
-    assert config.lever.reference_y_px == pytest.approx((160.0 + 0.5) / 2 - 0.5, abs=1e-3)
+    assert config.lever.reference_y_px == pytest.approx((320.0 + 0.5) / 2 - 0.5, abs=1e-3)
     assert complete(config) == config, "as a record's configuration is, which states it already"
     tree["camera"] = {"driver": "usb3vision", "colour_plane": "red"}
     coloured = complete(validate_configuration(tree, "test"))
@@ -100,7 +96,8 @@ def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
 
 
 def test_a_lever_from_geometry_fills_the_configuration(tmp_path: Path) -> None:
-    path = calibrate_lever(write(tmp_path / "g.toml", GEOMETRY), Filing(tmp_path / "c", 30, "A. Person"))
+    ladder, filing = write(tmp_path / "g.toml", GEOMETRY), Filing(tmp_path / "c", 30, "A. Person")
+    path = calibrate_lever(ladder, filing)
     found = read_calibration(path, "lever")
     assert found.made_by == "A. Person"
     assert [source.name for source in found.sources] == ["g.toml"]
@@ -109,6 +106,8 @@ def test_a_lever_from_geometry_fills_the_configuration(tmp_path: Path) -> None:
     assert config.lever is not None
     assert config.lever.u_arm_m == pytest.approx(1e-3, rel=1e-6)
     assert calibration_attachments(config) == {"calibration/lever.toml": path.read_bytes()}
+    # a new file never replaces an old one
+    assert [path.name, calibrate_lever(ladder, filing).name] == ["lever-001.toml", "lever-002.toml"]
 
 
 def test_what_is_printed_is_what_is_used(tmp_path: Path) -> None:
@@ -142,12 +141,6 @@ def test_a_ladder_in_another_unit_than_stated_is_doubted(tmp_path: Path) -> None
     write(ladder, tilts(ladder, [-1.0, -0.5, 0.0, 0.5, 1.0], factor=206.26).read_text())
     with pytest.raises(ConfigurationError, match=r"arm is 206 m, which is hardly .* unit = 'arcsec'"):
         calibrate_lever(ladder, Filing(tmp_path))
-
-
-def test_a_new_file_never_replaces_an_old_one(tmp_path: Path) -> None:
-    ladder = write(tmp_path / "g.toml", GEOMETRY)
-    names = [calibrate_lever(ladder, Filing(tmp_path / "c")).name for _ in range(3)]
-    assert names == ["lever-001.toml", "lever-002.toml", "lever-003.toml"]
 
 
 def test_a_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
@@ -266,15 +259,22 @@ def test_what_cannot_serve_leaves_no_file(records: dict[str, Path], tmp_path: Pa
     assert not folder.exists()
 
 
+def transfer(folder: Path, darks: Any, pairs: Any, full_scale_dn: int, exposures: Any = ()) -> Path:
+    """Frames in the dark and in pairs of each level, and their list."""
+    np.save(folder / "dark.npy", np.stack(darks))
+    lines = ["darks = 'dark.npy'", f"full_scale_dn = {full_scale_dn}"]
+    for number, pair in enumerate(pairs):
+        np.save(folder / f"level-{number}.npy", np.stack(pair))
+        lines += ["[[level]]", f"frames = 'level-{number}.npy'"]
+        lines += [f"exposure_us = {exposure}" for exposure in exposures[number : number + 1]]
+    return write(folder / "t.toml", "\n".join(lines))
+
+
 def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> None:
     truth = random_sensor(np.random.default_rng(8))
     pairs, darks, exposures = transfer_frames(truth, 3, levels=5)
-    np.save(tmp_path / "dark.npy", np.stack(darks))
-    lines = ["darks = 'dark.npy'", f"full_scale_dn = {2**truth.bit_depth - 1}"]
-    for number, (pair, exposure) in enumerate(zip(pairs, exposures, strict=True)):
-        np.save(tmp_path / f"level-{number}.npy", np.stack(pair))
-        lines += ["[[level]]", f"frames = 'level-{number}.npy'", f"exposure_us = {exposure}"]
-    path = calibrate_sensor(write(tmp_path / "t.toml", "\n".join(lines)), Filing(tmp_path / "c"))
+    full_scale_dn, filing = 2**truth.bit_depth - 1, Filing(tmp_path / "c")
+    path = calibrate_sensor(transfer(tmp_path, darks, pairs, full_scale_dn, exposures), filing)
     found = read_calibration(path)
     assert len(found.sources) == 2 + len(pairs)
     sensor = fill_from_files(in_use(sensor=path)).sensor
@@ -284,15 +284,12 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
     assert truth.prnu > 4 * found.details["u_prnu"]
     assert sensor.prnu == pytest.approx(truth.prnu, abs=4 * found.details["u_prnu"])
     assert not any("exposure_us" in note for note in found.notes)
-    reversed_lines = list(lines)
-    reversed_lines[4::3] = lines[4::3][::-1]
-    path = calibrate_sensor(write(tmp_path / "t.toml", "\n".join(reversed_lines)), Filing(tmp_path / "c"))
+    path = calibrate_sensor(transfer(tmp_path, darks, pairs, full_scale_dn, exposures[::-1]), filing)
     assert "see which level has which exposure" in read_calibration(path).notes[-1]
-    lines[1] = "full_scale_dn = 99999"
     with pytest.raises(
         ConfigurationError, match=r"full_scale_dn = 99999: the frames in dark\.npy end at \d+ DN"
     ):
-        calibrate_sensor(write(tmp_path / "t.toml", "\n".join(lines)), Filing(tmp_path / "c"))
+        calibrate_sensor(transfer(tmp_path, darks, pairs, 99999, exposures), filing)
 
 
 @pytest.mark.slow
@@ -326,20 +323,6 @@ SEED = 1
 HOT = SensorTruth(width_px=100, height_px=120, hot_pixels=1500, hot_pixel_dn=4.0)
 
 
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a sensor of whose pixels one in eight is hot."""
-    folder = tmp_path_factory.mktemp("transfer")
-    pairs, darks, _ = transfer_frames(HOT, SEED)
-    np.save(folder / "dark.npy", np.stack(darks))
-    lines = ["darks = 'dark.npy'", "full_scale_dn = 255"]
-    for number, pair in enumerate(pairs):
-        np.save(folder / f"level-{number}.npy", np.stack(pair))
-        lines += ["[[level]]", f"frames = 'level-{number}.npy'"]
-    (folder / "transfer.toml").write_text("\n".join(lines))
-    return calibrate_sensor(folder / "transfer.toml", Filing(folder))
-
-
 def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
     """(n, 4) x, y and their uncertainties of a pendulum at rest."""
     simulation = {
@@ -349,24 +332,19 @@ def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
         "fast": {"amplitude_arcsec": 0.0},
         "max_duration_s": 1.0,
     }
-    record_plainly(
-        validate_configuration(
-            {"camera": {"driver": "simulated"}, "simulation": simulation, **sections}, "test"
-        ),
-        record,
-        record,
-    )
+    tree = {"camera": {"driver": "simulated"}, "simulation": simulation, **sections}
+    assert record_plainly(validate_configuration(tree, "test"), record, record) == 0
     with RecordReader(record) as reader:
         table = reader.spots()
     return np.column_stack([table[name] for name in ("x_px", "y_px", "u_x_px", "u_y_px")])[10:]
 
 
 @pytest.mark.slow
-def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(
-    tmp_path: Path, calibration: Path
-) -> None:
-    in_use = {"camera": {"driver": "simulated"}, "calibration": {"sensor": str(calibration)}}
-    sensor = fill_from_files(validate_configuration(in_use, "test")).sensor
+def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(tmp_path: Path) -> None:
+    """Of a sensor of whose pixels one in eight is hot."""
+    pairs, darks, _ = transfer_frames(HOT, SEED)
+    calibration = calibrate_sensor(transfer(tmp_path, darks, pairs, 255), Filing(tmp_path))
+    sensor = fill_from_files(in_use(sensor=calibration)).sensor
     assert sensor is not None
     assert len(sensor.hot_pixels_xy) > 300
     stated = {
@@ -376,7 +354,7 @@ def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(
     cold = spots(tmp_path / "cold.mcap", HOT.model_copy(update={"hot_pixels": 0}))
     true_px, u_px = cold[:, :2].mean(axis=0), cold[:, 2:].mean(axis=0)
     biased = spots(tmp_path / "hot.mcap", HOT, sensor=stated)
-    mapped = spots(tmp_path / "mapped.mcap", HOT, **in_use)
+    mapped = spots(tmp_path / "mapped.mcap", HOT, calibration={"sensor": str(calibration)})
     in_u = [np.abs((found[:, :2].mean(axis=0) - true_px) / u_px).max() for found in (biased, mapped)]
     assert in_u[0] > 0.8
     assert in_u[1] < 0.5  # what is too dark for the map, and three standard deviations of the means

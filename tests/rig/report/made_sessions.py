@@ -1,7 +1,6 @@
 """Sessions of made-up runs, as `rig fit` leaves their results."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,8 +106,3 @@ def humid_campaign(
             runs.append(run(number, truth, rng, humidity_percent=humidity))
         folders.append(session(parent / name, runs))
     return folders
-
-
-def twice(first: RunResults) -> RunResults:
-    """The same run under another record's name."""
-    return replace(first, record="run-9.mcap")

@@ -1,28 +1,27 @@
 """`rig compare`: from folders, or an archive, to the files of a paper, also as the page shows it."""
 
-import datetime
 import json
 import re
 import shlex
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from processing.ambient import other_unit_warning
+from processing.ambient import AmbientConditions, other_unit_warning
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from processing.fit import AIR, LinearisedFit, drift_effects
-from processing.series import EndSide, to_coordinates
+from processing.fit import AIR, Budget, LinearisedFit, drift_effects
+from processing.fit.uncertainty import BudgetSource
+from processing.series import EndSide, Form, to_coordinates
 from processing.units import ARCSEC_RAD
-from rig.analysis import TableDecay, analyse_record, read_results
+from rig.analysis import RunResults, TableDecay, analyse_record, read_results
 from rig.analysis.result_rows import Determinacy, ResultRow
-from rig.archive import ordered_runs
-from rig.archive.listing import open_for_writing, write_sessions
 from rig.archive.session_rows import session_rows
-from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
+from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.report.campaign_input import CandidateRun, runs_of_archive, stated_model
 from rig.report.campaign_page import campaign_tables, decays_table, effects_table
 from rig.report.likelihoods import _bound, compress
@@ -35,9 +34,9 @@ from tests.rig.report.made_sessions import (
     humid_campaign,
     run,
     session,
-    twice,
 )
 
+REFERENCE_RAD = 60 * ARCSEC_RAD
 STATED = """
 parameters = ["b", "p", "c"]
 change_points = ["b"]
@@ -136,23 +135,45 @@ def test_a_single_run_of_each_contact_does_not_tell_them_apart(tmp_path: Path) -
         assert of_b.seen == sure, "the runs of the many show how runs scatter"
 
 
+def compressed(one: RunResults) -> Any:
+    """The likelihood of a run's results."""
+    candidate = CandidateRun(label="run-1", contact="glass", results_sha256="", run=one)
+    found, problem = compress(candidate, REFERENCE_RAD)
+    assert found is not None, problem
+    return found
+
+
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
-    likelihood, problem = compress(
-        CandidateRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD
-    )
-    assert likelihood is not None
-    assert not problem
+    likelihood = compressed(one)
     assert likelihood.names == NAMES
     fit = one.fits["exact"]
-    for name, relative in (("c", 0.1), ("p", 0.001 * 0.944)):
-        assert likelihood.u(name) == pytest.approx(
-            fit.estimate(name).standard_uncertainty / (fit.estimate(name).value if name == "c" else 1),
-            rel=0.01,
-        ), relative
+    (c, u_c), (_, u_p) = fit.estimate("c"), fit.estimate("p")
+    assert likelihood.u("c") == pytest.approx(u_c / c, rel=0.01)
+    assert likelihood.u("p") == pytest.approx(u_p, rel=0.01)
     # a longer arm than was thought makes the values as they are seen too large
     assert likelihood.shared["arm_m"][2] == pytest.approx(U_ARM_M, rel=1e-6)
     assert likelihood.covariates["humidity_percent"] == 45.0
+
+
+def test_what_is_known_of_the_air_is_shared_by_runs_and_no_scatter_of_theirs() -> None:
+    one = run(1, GLASS, np.random.default_rng(3))
+    fit, nan = one.fits["exact"], np.nan
+    lines = [
+        BudgetSource("swings", "A", nan, nan, 6e-5, 0.36),
+        BudgetSource("air", "B", nan, nan, 8e-5, 0.64),
+    ]
+    budget = Budget(value=2e-3, standard_uncertainty=1e-4, sources=tuple(lines))
+    parameters = {**fit.parameters, "drag_s": Estimate(2e-3, 1e-4)}
+    found = compressed(
+        replace(
+            one,
+            fits={"exact": replace(fit, parameters=parameters)},
+            budget={**one.budget, "drag_s": budget},
+        )
+    )
+    at = found.names.index("drag_s")
+    assert found.covariance[at, at] / found.shared["air"][at] ** 2 == pytest.approx(0.36 / 0.64)
 
 
 @pytest.mark.parametrize(
@@ -163,16 +184,7 @@ def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_boun
     one = run(1, GLASS, np.random.default_rng(3))
     fit = one.fits["exact"]
     parameters = {**fit.parameters, "c": Estimate(value, u)}
-    found, _ = compress(
-        CandidateRun(
-            label="run-1",
-            contact="glass",
-            results_sha256="",
-            run=replace(one, table=(), fits={"exact": replace(fit, parameters=parameters)}),
-        ),
-        60 * ARCSEC_RAD,
-    )
-    assert found is not None
+    found = compressed(replace(one, table=(), fits={"exact": replace(fit, parameters=parameters)}))
     assert ("c" in found.names) is not is_bounded
     if is_bounded:
         bound = found.bounds["c"]
@@ -185,14 +197,6 @@ def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_boun
     assert (bound.limit, bound.side) == (np.log(2e-9), EndSide.LOWER)
 
 
-def test_short_sessions_can_enter() -> None:
-    found = fit_model(
-        runs_of_folders([SAMPLES / "series", SAMPLES / "first"]), StatedCampaign(parameters=("p",))
-    )
-    assert len(found.results.runs) + len(found.results.left_out) >= 2
-    assert 0.9 < found.results.contacts["series"]["p"].value < 1.0
-
-
 def test_without_priors_stands_beside(tmp_path: Path) -> None:
     folders = humid_campaign(tmp_path, slope=0.0)
     stated = StatedCampaign.model_validate({"parameters": ["p"], "prior": {"p": {"value": 0.96, "u": 1e-4}}})
@@ -200,7 +204,7 @@ def test_without_priors_stands_beside(tmp_path: Path) -> None:
     assert value.value > 0.955
     assert value.without_priors.value == pytest.approx(0.944, abs=0.002)
     of_c = StatedCampaign.model_validate({"parameters": ["c"], "prior": {"c": {"value": 1e-8, "u": 2e-9}}})
-    level = stated_model(of_c, 60 * ARCSEC_RAD, []).levels["c"]
+    level = stated_model(of_c, REFERENCE_RAD, []).levels["c"]
     assert tuple(level) == pytest.approx((np.log(1e-8), 0.2))
 
 
@@ -232,10 +236,7 @@ EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'
     ],
 )
 def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, said: str) -> None:
-    session(
-        tmp_path / "monday",
-        [run(1, GLASS, np.random.default_rng(1)), run(2, GLASS, np.random.default_rng(2))],
-    )
+    session(tmp_path / "monday", [run(k, GLASS, np.random.default_rng(k)) for k in (1, 2)])
     (tmp_path / "campaign.toml").write_text(text)
     done = rig("compare", "monday", "--model", "campaign.toml", cwd=tmp_path)
     assert done.returncode in (1, 2)
@@ -292,7 +293,7 @@ def test_a_folder_or_a_run_that_is_there_twice_counts_once(tmp_path: Path) -> No
         with pytest.raises(ConfigurationError, match=named):
             runs_of_folders([folder, again])
     first = run(1, GLASS, np.random.default_rng(1))
-    session(tmp_path / "tuesday", [first, twice(first)])
+    session(tmp_path / "tuesday", [first, replace(first, record="run-9.mcap")])
     with pytest.raises(ConfigurationError, match=r"tuesday/run-9: is the run of tuesday/run-1 \(same hash\)"):
         runs_of_folders([tmp_path / "tuesday"])
 
@@ -346,23 +347,6 @@ def test_runs_of_an_archive(tmp_path: Path) -> None:
     assert "no run with results meets it" in none.stderr
 
 
-def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path) -> None:
-    """A session whose clock was set back between its runs 9 and 10 is not turned round."""
-    evening = datetime.datetime(2024, 2, 28, 23, 0)
-    begun_h = {f"b/run-{n}": n / 3 if n < 10 else n / 3 - 1 for n in range(1, 13)}
-    begun_h |= {"a/run-1": 0.0, "a/run-2": 26.0, "c/run-1": None}
-    rows = []
-    for number, (name, hours) in enumerate(begun_h.items()):
-        folder, run = name.split("/")
-        began = None if hours is None else (evening + datetime.timedelta(hours=hours)).isoformat()
-        rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
-    with open_for_writing(tmp_path / "archive.duckdb") as connection:
-        write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
-    found = ordered_runs(tmp_path / "archive.duckdb", "")
-    runs = [f"{row[3]}/{row[1]}" for row in found]
-    assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
-
-
 def test_a_night_is_one_contact(tmp_path: Path) -> None:
     humid_campaign(tmp_path / "night")
     found = runs_of_folders([tmp_path / "night"])
@@ -397,18 +381,10 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
 
 
 def test_forms_and_covariates_that_are_named_exist() -> None:
-    from dataclasses import fields
-
-    from processing.ambient import AmbientConditions
-    from processing.series import Form
-
     forms = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))
     assert forms == set(map(str, Form))
     named = {field.name for field in fields(AmbientConditions)} - {"temperature_change_k"}
     assert all(f"`{name}`" in TEXT for name in named)
-
-
-REFERENCE_RAD = 60 * ARCSEC_RAD
 
 
 @pytest.mark.slow
@@ -417,10 +393,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
     fit, pendulum = run.fitted["exact"], run.pendulum
     assert pendulum is not None
-    found, problem = compress(
-        CandidateRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD
-    )
-    assert found is not None, problem
+    found = compressed(run)
     names = found.names
     assert {"b", "p", "gamma_pa"} <= set(names)
     at = [fit.names.index(name) for name in names]
@@ -478,3 +451,60 @@ def test_a_humidity_in_another_unit_than_the_others_is_said() -> None:
         "humidity_percent is 0.45 of b, and 41 to 58"
     )
     assert other_unit_warning("humidity_percent", {"a": 5.0, "b": 45.0, "c": 58.0}) == ""
+
+
+def test_a_run_without_a_fit_is_left_out_and_keeps_its_place_in_the_order(measured_series: Path) -> None:
+    first, second = runs_of_folders([measured_series])
+    nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
+    (entered,) = fit_model([nothing, second], StatedCampaign()).posterior.runs
+    assert entered.covariates["order"] == 1.0
+    with pytest.raises(Exception, match=r"no run can enter the campaign: .*left out: too short"):
+        fit_model([nothing], StatedCampaign())
+
+
+def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_side(tmp_path: Path) -> None:
+    """Its band ended far below the limit of its runs, and it differed from whatever lay below that."""
+    rng, folders = np.random.default_rng(6), []
+    rough, smooth = GLASS.copy(), GLASS.copy()
+    rough[2], smooth[2] = 1e-7, 1e-10
+    for name, truth in (("rough", rough), ("smooth", smooth), ("bounded", GLASS)):
+        runs = [run(number, truth, rng) for number in range(1, 5)]
+        if name == "bounded":
+            fits = [one.fits["exact"] for one in runs]
+            # c is below 1e-8 by value and two u
+            wide = [replace(fit, parameters={**fit.parameters, "c": Estimate(2e-9, 4e-9)}) for fit in fits]
+            runs = [replace(one, fits={"exact": fit}) for one, fit in zip(runs, wide, strict=True)]
+        folders.append(session(tmp_path / name, runs))
+    slope = {"parameter": "c", "covariate": "order", "form": "linear"}
+    stated = StatedCampaign.model_validate({"parameters": ("p", "c"), "effect": [slope]})
+    save_campaign(fit_model(runs_of_folders(folders[2:]), stated), tmp_path / "campaign")
+    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("p", "c"))).results
+    for key, factor in (("c", 1.0), ("surface_energy_table2_j_per_m2", ENERGY_OVER_C)):
+        of_c = found.contacts["bounded"][key]
+        assert np.isnan(of_c.value)
+        assert np.isnan(of_c.without_priors.value)
+        assert of_c.lower_95 == 0.0
+        assert 0.5e-8 * factor < of_c.upper_95 < 2e-8 * factor
+    assert set(found.budgets["rough"]) - set(found.budgets["bounded"]) == {"c"}, 'it was all "between runs"'
+    for one in found.runs:
+        assert np.isnan(one.together["c"].value) == (one.contact == "bounded"), "by the prior of the level"
+    by = {(one.first, one.second): one for one in found.differences if one.parameter == "c"}
+    assert by["rough", "bounded"].seen
+    assert by["rough", "bounded"].lower_95 > 1
+    assert np.isnan(by["rough", "bounded"].difference.value)
+    assert not by["smooth", "bounded"].seen
+    assert by["smooth", "bounded"].chance > 0.5
+    assert by["rough", "bounded"].upper_95 == np.inf
+
+
+def test_a_prior_within_the_margin_is_no_evidence_that_nothing_depends(tmp_path: Path) -> None:
+    """All runs lie beyond the step: of an effect of which they say nothing it was said that there is none."""
+    rng = np.random.default_rng(7)
+    folder = session(tmp_path / "glass", [run(number, GLASS, rng) for number in range(1, 9)])
+    step = {"parameter": "p", "covariate": "humidity_percent", "form": "step", "margin": 0.05}
+    slope = {"parameter": "p", "covariate": "order", "form": "linear", "margin": 0.05}
+    stated = {"parameters": ("b", "p"), "effect": [{**step, "reference": 40}, slope]}
+    found = fit_model(runs_of_folders([folder]), StatedCampaign.model_validate(stated)).results
+    beyond, flat = found.effects
+    assert beyond.equivalent < 0.5
+    assert flat.equivalent > 0.95, "eight runs of 0.001 show it"

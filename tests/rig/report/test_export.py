@@ -1,5 +1,6 @@
 """`rig export`: every format can be read back, with provenance and units; full disks and formulas."""
 
+import csv
 import json
 import math
 import re
@@ -18,6 +19,7 @@ from pyarrow.csv import ReadOptions, read_csv
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
+from processing.units import size
 from rig.report.export import export_session
 from tests.rig.command_line import SAMPLES, rig
 
@@ -25,72 +27,108 @@ h5py = pytest.importorskip("h5py")
 
 
 @pytest.fixture(scope="module")
-def truth(measured_series: Path) -> tuple[Any, Any, dict[str, Any]]:
-    """Spots, swings and results of the first run as record and results.json hold them."""
-    with RecordReader(measured_series / "run-1.mcap") as reader:
-        spots, swings = reader.table("/spot"), reader.table("/swing")
-    return (
-        spots,
-        swings,
-        json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["runs"][0],
-    )
+def results(measured_series: Path) -> Any:
+    """results.json of the series."""
+    return json.loads((measured_series / "results.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
-def nexus(measured_series: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The series as one HDF5 file."""
-    (made,) = export_session(measured_series, "hdf5", tmp_path_factory.mktemp("nexus") / "out.h5")
-    return made
+def truth(measured_series: Path) -> dict[str, np.ndarray]:
+    """Spots and swings of the first run as its record holds them."""
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        return {"spots": reader.table("/spot"), "swings": reader.table("/swing")}
+
+
+@pytest.fixture(scope="module")
+def exported(measured_series: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
+    """The files of the series in every format."""
+    folder = tmp_path_factory.mktemp("exported")
+    named = {"csv": "csv", "parquet": "parquet", "latex": "latex", "hdf5": "out.h5"}
+    return {kind: export_session(measured_series, kind, folder / name) for kind, name in named.items()}
+
+
+def not_determined_is_nan(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of results.json as tables give it back: NaN, which equals nothing."""
+    return {key: math.nan if key in NUMBERS and cell is None else cell for key, cell in row.items()}
+
+
+NUMBERS = ("value", "u", "u_total", "lower", "upper")
 
 
 def test_csv_holds_every_digit_and_the_provenance(
-    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+    exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
 ) -> None:
-    spots, swings, results = truth
-    made = export_session(measured_series, "csv", tmp_path / "csv")
+    made = exported["csv"]
     assert [path.name for path in made] == [
         *(f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "table")),
         "series-table.csv",
     ]
     lines = made[1].read_text(encoding="utf-8").splitlines()
     head = [line for line in lines if line.startswith("#")]
-    assert f"# sha256: {results['sha256']}" in head
+    assert f"# sha256: {results['runs'][0]['sha256']}" in head
     assert any(line.startswith("# configuration: {") for line in head)
-    for path, table in ((made[0], spots), (made[1], swings)):
+    for path, table in zip(made, truth.values(), strict=False):
         read = read_csv(path, read_options=ReadOptions(skip_rows=len(head)))
         assert read.column_names == list(table.dtype.names)
         for name in table.dtype.names:
             np.testing.assert_array_equal(read[name].to_numpy(), table[name])
+    # what the runs say together
+    lines = made[-1].read_text(encoding="utf-8").splitlines()
+    about = "\n".join(line for line in lines if line[0] == "#")
+    assert all(
+        word in about for word in ("SIMULATED: 2 of 2 runs", *(run["sha256"] for run in results["runs"]))
+    )
+    series = list(csv.DictReader(line for line in lines if line[0] != "#"))
+    for row, wanted in zip(series, results["series"]["table"], strict=True):
+        assert row["quantity"] == wanted["quantity"]
+        np.testing.assert_array_equal(
+            [float(row[name] or "nan") for name in NUMBERS],
+            [not_determined_is_nan(wanted)[name] for name in NUMBERS],
+        )
 
 
 def test_parquet_has_units_and_provenance(
-    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+    exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
 ) -> None:
-    spots, _, results = truth
-    made = export_session(measured_series / "run-1.mcap", "parquet", tmp_path)
+    made = exported["parquet"]
     table = parquet.read_table(made[0])
-    np.testing.assert_array_equal(table["y_rad"].to_numpy(), spots["y_rad"])
+    np.testing.assert_array_equal(table["y_rad"].to_numpy(), truth["spots"]["y_rad"])
     assert table.schema.field("y_arcsec").metadata[b"unit"] == b"arcsec"
     provenance = json.loads(table.schema.metadata[b"provenance"])
-    assert provenance["sha256"] == results["sha256"]
+    assert provenance["sha256"] == results["runs"][0]["sha256"]
     assert json.loads(provenance["configuration"])["session"]["operator"] == "demonstration"
-    values = parquet.read_table(made[2])
-    assert str(values.to_pylist()) == str([_with_nan(row) for row in results["table"]])
+    for path, rows in ((made[2], results["runs"][0]["table"]), (made[-1], results["series"]["table"])):
+        found = parquet.read_table(path).to_pylist()
+        assert str([{key: row[key] for key in rows[0]} for row in found]) == str(
+            [not_determined_is_nan(row) for row in rows]
+        )
+    assert size(next(row["unit"] for row in found if row["quantity"] == "gamma_pa")) == size("Pa")
+    assert b"SIMULATED: 2 of 2 runs" in parquet.read_schema(made[-1]).metadata[b"provenance"]
 
 
-def _with_nan(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of results.json as Parquet gives it back: not determined is NaN, which equals nothing."""
-    numbers = ("value", "u", "u_total", "lower", "upper")
-    return {key: math.nan if key in numbers and cell is None else cell for key, cell in row.items()}
+def test_the_tables_of_a_report_are_exported_for_latex(exported: dict[str, list[Path]]) -> None:
+    made = {path.name: path.read_text(encoding="utf-8") for path in exported["latex"]}
+    assert {"run-1-parameters.tex", "run-2-budget.tex", "series-budget.tex"} <= set(made)
+    for name, text in made.items():
+        assert text.isascii(), (name, re.findall(r"[^\x00-\x7f]+", text))
+        assert len(re.findall(r"\\begin", text)) == len(re.findall(r"\\end\{", text)) == 2
+        body = text.split(r"\toprule")[1].split(r"\bottomrule")[0]
+        counts = {len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")}
+        assert len(counts) == 1, name
+        assert text.count("{") == text.count("}")
+    assert r"$\gamma$" in made["run-1-parameters.tex"]
+    assert r"\unit{\mega\pascal}" in made["run-1-parameters.tex"]
+    # the same table of two runs has two labels
+    labels = [label for text in made.values() for label in re.findall(r"\\label\{(.*?)\}", text)]
+    assert len(labels) == len(set(labels)) > 4
 
 
 @pytest.mark.slow
 def test_hdf5_is_laid_out_as_nexus(
-    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], nexus: Path
+    measured_series: Path, exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
 ) -> None:
-    _, swings, results = truth
-    series = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["series"]
-    with h5py.File(nexus) as file:
+    swings, first, series = truth["swings"], results["runs"][0], results["series"]
+    with h5py.File(*exported["hdf5"]) as file:
         assert file.attrs["NX_class"] == "NXroot"
         assert sorted(file) == ["run_1", "run_2", "series"]
         entry = file["run_1"]
@@ -102,20 +140,22 @@ def test_hdf5_is_laid_out_as_nexus(
         assert signal.attrs["units"] == "rad"
         np.testing.assert_array_equal(data["amplitude_rad_errors"][:], swings["u_amplitude_rad"])
         assert data[data.attrs["axes"][0]].attrs["units"] == "ns"
-        assert json.loads(entry["provenance/description"][()])["sha256"] == results["sha256"]
+        assert json.loads(entry["provenance/description"][()])["sha256"] == first["sha256"]
         value = entry["results/values/exact/gamma_pa"]
-        (row,) = [row for row in results["table"] if (row["fit"], row["quantity"]) == ("exact", "gamma_pa")]
+        (row,) = [row for row in first["table"] if (row["fit"], row["quantity"]) == ("exact", "gamma_pa")]
         assert value[()] == row["value"]
         assert entry["results/values/exact/gamma_pa_errors"][()] == row["u_total"]
         assert value.attrs["verdict"] == row["verdict"]
         assert value.attrs["units"] == "Pa"
-        assert json.loads(entry["results/json"][()]) == results
+        assert json.loads(entry["results/json"][()]) == first
         assert entry["instrument/detector"].attrs["NX_class"] == "NXdetector"
         assert entry["user/name"][()] == b"demonstration"
         began, ended = (
             datetime.fromisoformat(entry[name][()].decode()) for name in ("start_time", "end_time")
         )
         assert (ended - began).total_seconds() == pytest.approx(70.0, abs=1.0)
+        with RecordReader(measured_series / "run-1.mcap") as reader:
+            assert began == reader.utc(int(truth["spots"]["time_ns"][0]))
         assert file["series"].attrs["NX_class"] == "NXentry"
         assert json.loads(file["series/results/json"][()]) == series
         gamma = file["series/results/values/exact/gamma_pa_errors"]
@@ -168,13 +208,15 @@ def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
     assert '"1 is no formula"' in text
 
 
-def test_nothing_is_written_over(measured_series: Path, tmp_path: Path) -> None:
+def test_nothing_is_written_over(
+    measured_series: Path, exported: dict[str, list[Path]], tmp_path: Path
+) -> None:
     (tmp_path / "a.h5").touch()
     with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
         export_session(measured_series, "hdf5", tmp_path / "a.h5")
-    export_session(measured_series, "csv", tmp_path / "a")
-    with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
-        export_session(measured_series, "csv", tmp_path / "a")
+    for kind in ("csv", "latex"):
+        with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
+            export_session(measured_series, kind, exported[kind][0].parent)
 
 
 def test_results_of_another_record_are_refused(measured_series: Path, tmp_path: Path) -> None:
@@ -213,10 +255,10 @@ UNITS = {
 
 
 @pytest.mark.slow
-def test_every_unit_in_nexus_is_one_and_that_of_its_number(nexus: Path) -> None:
+def test_every_unit_in_nexus_is_one_and_that_of_its_number(exported: dict[str, list[Path]]) -> None:
     """Names alone would say m2 for an energy over an area."""
     found: dict[str, str] = {}
-    with h5py.File(nexus) as file:
+    with h5py.File(*exported["hdf5"]) as file:
         values = file["run_1/results/values"]
         values.visititems(lambda name, item: found.update({name: item.attrs.get("units", "")}))
         numbers = {name for name in found if isinstance(values[name], h5py.Dataset)}
@@ -232,50 +274,23 @@ def test_every_unit_in_nexus_is_one_and_that_of_its_number(nexus: Path) -> None:
             ), name
 
 
-FORMULA = "=cmd|' /C calc'!A0"
-
-
 @pytest.mark.slow
 def test_a_full_disk_is_one_line_and_leaves_nothing(measured_series: Path, tmp_path: Path) -> None:
     """HDF5 told of it at every object that it closed, in thousands of lines, and ended the process.
 
     The largest size of a file stands for the disk.
     """
-    pytest.importorskip("h5py")
     pytest.importorskip("resource")
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
         "from rig.cli import main; sys.exit(main())"
     )
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            code,
-            "export",
-            measured_series,
-            "--format",
-            "hdf5",
-            "-o",
-            tmp_path / "out.h5",
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ("export", measured_series, "--format", "hdf5", "-o", tmp_path / "out.h5")
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode in (1, 2), done.stderr[-500:]
     assert re.fullmatch(r"rig: .*out\.h5: cannot be written: File too large\n", done.stderr)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_same_table_of_two_runs_has_two_labels(measured_series: Path, tmp_path: Path) -> None:
-    labels = [
-        re.findall(r"\\label\{(.*?)\}", path.read_text())
-        for path in export_session(measured_series, "latex", tmp_path)
-    ]
-    flat = [label for each in labels for label in each]
-    assert len(flat) == len(set(flat)) > 4
 
 
 def test_what_was_not_fitted_to_the_contact_says_so(tmp_path: Path) -> None:

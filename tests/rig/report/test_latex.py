@@ -1,9 +1,7 @@
 """Numbers as text (digits by the uncertainty, powers of ten, what is not determined) and tables for LaTeX."""
 
 import math
-import re
 from decimal import Context, Decimal, localcontext
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +22,6 @@ from rig.interruption import ascii_text
 from rig.report.drawing import break_at_gaps, envelope, thinned_indices
 from rig.terminal import Table, latex_table
 from rig.terminal.latex import _UNITS
-from tests.rig.command_line import rig
 
 
 def lines_of(*row: str, head: tuple[str, ...] = ("", "value", "unit")) -> list[str]:
@@ -80,24 +77,6 @@ def test_every_unit_of_the_table_has_a_name_or_is_a_count() -> None:
 def test_a_heading_names_its_unit() -> None:
     found = lines_of("1", "2", head=("α / arcsec", "σ / (mJ/m²)"))[6]
     assert found == r"$\alpha$ / \unit{\arcsecond} & $\sigma$ / \unit{\milli\joule\metre\tothe{-2}} \\"
-
-
-def test_the_tables_of_a_report_are_exported(measured_series: Path, tmp_path: Path) -> None:
-    done = rig("export", measured_series, "--format", "latex", "-o", tmp_path / "tex")
-    assert done.returncode == 0, done.stderr
-    made = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "tex").iterdir()}
-    assert {"run-1-parameters.tex", "run-2-budget.tex", "series-budget.tex"} <= set(made)
-    for name, text in made.items():
-        assert text.isascii(), (name, re.findall(r"[^\x00-\x7f]+", text))
-        assert len(re.findall(r"\\begin", text)) == len(re.findall(r"\\end\{", text)) == 2
-        body = text.split(r"\toprule")[1].split(r"\bottomrule")[0]
-        counts = {len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")}
-        assert len(counts) == 1, name
-        assert text.count("{") == text.count("}")
-    assert r"$\gamma$" in made["run-1-parameters.tex"]
-    assert r"\unit{\mega\pascal}" in made["run-1-parameters.tex"]
-    again = rig("export", measured_series, "--format", "latex", "-o", tmp_path / "tex")
-    assert "exists already" in again.stderr
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
-from rig.analysis import SessionResults, analyse_record, read_results
+from rig.analysis import AnalysedRun, SessionResults, read_results
 from rig.commands.reporting import plan
 from rig.instrument import complete, recorded_configuration
 from rig.report import (
@@ -27,13 +27,15 @@ PENDULUM = "pendulum={mass_kg=0.4, ball_radius_m=6e-3, contact_radius_m=6e-5}"
 LEVER = "lever={arm_m=1.0, pixel_pitch_m=4.8e-6}"
 
 
-def test_a_run_is_planned_from_a_record(measured_series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_planned_from_a_record(
+    measured_series: Path, analysed_run: AnalysedRun, capsys: pytest.CaptureFixture[str]
+) -> None:
     plan(measured_series / "run-1.mcap", [124.0], [60.0, 15.0])
     said = " ".join(capsys.readouterr().out.split())
     assert "124 to 15" in said
     assert "u(γ)" in said
     assert "NOT RELIABLE: what this plan starts from does not determine" in said
-    expected = planned_contact_of_run(analyse_record(measured_series / "run-1.mcap"))
+    expected = planned_contact_of_run(analysed_run)
     shorter, longer = make_plan(expected, [124.0], [60.0, 15.0]).rows
     assert (longer["first_arcsec"], longer["last_arcsec"]) == pytest.approx((124.0, 15.0))
     assert longer["duration_s"] > shorter["duration_s"]

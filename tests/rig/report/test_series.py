@@ -1,59 +1,21 @@
 """What the runs of a series say together is in every format, and read back by libraries that are not ours."""
 
-import csv
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from pyarrow import parquet
 
 from processing.errors import ConfigurationError
 from processing.estimate import Determinacy, Estimate
 from processing.fit import FitMethod
 from processing.instruments import MeanOverPlaces
-from processing.units import size
 from rig.analysis import AnalysedRun, InstrumentSeries, Series, read_results, write_results
 from rig.analysis.series import session_results
 from rig.report.export import export_session, latex_tables
 from rig.report.figures_contact import series_figure
 from rig.report.tables import series_table
-
-
-@pytest.fixture
-def series(measured_series: Path) -> dict[str, Any]:
-    text = (measured_series / "results.json").read_text(encoding="utf-8")
-    found: dict[str, Any] = json.loads(text)["series"]
-    return found
-
-
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_tables_hold_every_number_of_the_series(
-    measured_series: Path, series: dict[str, Any], tmp_path: Path, kind: Any
-) -> None:
-    path = export_session(measured_series, kind, tmp_path)[-1]
-    assert path.name == f"series-table.{kind}"
-    if kind == "csv":
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows: list[dict[str, Any]] = list(csv.DictReader(line for line in lines if line[0] != "#"))
-        about = "\n".join(line for line in lines if line[0] == "#")
-    else:
-        rows = parquet.read_table(path).to_pylist()
-        about = parquet.read_schema(path).metadata[b"provenance"].decode()
-    assert [row["quantity"] for row in rows] == [row["quantity"] for row in series["table"]]
-    for name in ("value", "u", "u_total", "lower", "upper"):
-        found = [float(row[name] or "nan") if kind == "csv" else row[name] for row in rows]
-        wanted = [math.nan if row[name] is None else row[name] for row in series["table"]]
-        np.testing.assert_array_equal(found, wanted)
-    unit = {row["quantity"]: row["unit"] for row in rows}
-    assert size(unit["gamma_pa"]) == size("Pa")
-    assert "SIMULATED: 2 of 2 runs" in about
-    for run in read_results(measured_series).runs:
-        assert run.sha256 in about
 
 
 def test_a_run_without_fit_shifts_no_number(analysed_series: Sequence[AnalysedRun], tmp_path: Path) -> None:
