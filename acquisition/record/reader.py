@@ -24,13 +24,13 @@ from acquisition.record.topics import (
     BALANCE,
     DEFLECTION_FIELDS,
     EVENT,
+    HALF_CYCLE,
     IMAGE,
     KIND_OF,
     METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
-    SWING,
     WINDOW,
     RecordedLosses,
     RecordedNote,
@@ -297,11 +297,11 @@ class RecordReader:
             if len(block):
                 yield block
 
-    def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
+    def half_cycles(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
         # the first fields of a row are those of `HalfCycle` in order
         count = len(HalfCycle.__dataclass_fields__)
-        return [HalfCycle(*row[:count]) for row in self.table(SWING.topic, piece).tolist()]
+        return [HalfCycle(*row[:count]) for row in self.table(HALF_CYCLE.topic, piece).tolist()]
 
     def balances(self, piece: Piece | None = None) -> list[Balance]:
         """All balances, or those in a piece, in `deflection_unit`."""

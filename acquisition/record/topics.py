@@ -246,7 +246,7 @@ _SPOT_DESCRIPTION = (
     "One camera frame: its number and times, the laser spot on the sensor, the deflection of the pendulum. "
     "Every u_NAME is the standard uncertainty (one sigma) of NAME. NaN where the spot was lost."
 )
-_SWING_DESCRIPTION = (
+_HALF_CYCLE_DESCRIPTION = (
     "One half-cycle as detected during the measurement: its turning point. Every u_NAME is the standard "
     "uncertainty (one sigma) of NAME. Half-cycles with flags are not fitted."
 )
@@ -280,15 +280,15 @@ def _types_in(unit: DeflectionUnit) -> tuple[MessageType, MessageType, MessageTy
     half_cycle_meanings = (HalfCycleFlag, TurningSide)
     return (
         MessageType(f"{prefix}Spot", "/spot", spot, _SPOT_DESCRIPTION, (SpotFlag,)),
-        MessageType(f"{prefix}Swing", "/swing", half_cycle, _SWING_DESCRIPTION, half_cycle_meanings),
+        MessageType(f"{prefix}Swing", "/swing", half_cycle, _HALF_CYCLE_DESCRIPTION, half_cycle_meanings),
         MessageType(f"{prefix}Balance", "/balance", (*_ints(time_ns), *_doubles(*numbers))),
     )
 
 
 TYPES_BY_UNIT: Final = {unit: _types_in(unit) for unit in (DeflectionUnit.RAD, DeflectionUnit.PX)}
 """Types of the messages whose fields have the unit of the deflections; they are the first in every record."""
-SPOT, SWING, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
-SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
+SPOT, HALF_CYCLE, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
+SPOT_UNCALIBRATED, HALF_CYCLE_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
 """The same without a lever, in px but for the angle of the balance's line."""
 _PIXELS: tuple[tuple[str, Kind], ...] = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),

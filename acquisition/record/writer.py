@@ -25,6 +25,7 @@ from acquisition.record.topics import (
     BALANCE,
     CAMERA_TOPIC,
     EVENT,
+    HALF_CYCLE,
     IMAGE,
     KIND_OF,
     LOG_TOPIC,
@@ -32,7 +33,6 @@ from acquisition.record.topics import (
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
     SENSOR_FRAME,
-    SWING,
     TYPES_BY_UNIT,
     WINDOW,
     RecordedNote,
@@ -218,7 +218,7 @@ class RecordWriter:
         values = [getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__]
         for_displays = [half_cycle.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
         message = self._swing.encode(*values, *for_displays, 2.0 * half_cycle.half_period_s)
-        self._add(SWING.topic, half_cycle.turn_time_ns, message)
+        self._add(HALF_CYCLE.topic, half_cycle.turn_time_ns, message)
 
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""

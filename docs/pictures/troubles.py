@@ -77,23 +77,27 @@ def show(axes: Axes, image: np.ndarray) -> None:
 
 def amplitudes(axes: Axes, record: Record) -> None:
     """Amplitude of every half-cycle against time."""
-    swings = record.swings()
-    times_s = (swings["turn_time_ns"] - swings["turn_time_ns"][0]) * 1e-9
-    axes.plot(times_s, np.degrees(swings["amplitude_rad"]) * 3600, "o-", ms=3, lw=0.7, color=palette.BLUE)
+    half_cycles = record.half_cycles()
+    times_s = (half_cycles["turn_time_ns"] - half_cycles["turn_time_ns"][0]) * 1e-9
+    axes.plot(
+        times_s, np.degrees(half_cycles["amplitude_rad"]) * 3600, "o-", ms=3, lw=0.7, color=palette.BLUE
+    )
     axes.set(xlabel="time, s", ylabel="amplitude, arcsec", ylim=(112, 130))
 
 
 def periods(axes: Axes, record: Record) -> None:
     """Twice the half-period of every half-cycle."""
-    swings = record.swings()
-    axes.plot(2e3 * (swings["half_period_s"] - np.nanmean(swings["half_period_s"])), "o-", ms=3, lw=0.7)
+    half_cycles = record.half_cycles()
+    axes.plot(
+        2e3 * (half_cycles["half_period_s"] - np.nanmean(half_cycles["half_period_s"])), "o-", ms=3, lw=0.7
+    )
     axes.set(xlabel="half-cycle", ylabel="period less its mean, ms", ylim=(-2.5, 2.5))
 
 
 def shape(axes: Axes, record: Record) -> None:
     """What a damped sine leaves of the first two periods."""
     path = record.deflections()
-    period_s = 2 * float(np.nanmedian(record.swings()["half_period_s"]))
+    period_s = 2 * float(np.nanmedian(record.half_cycles()["half_period_s"]))
     first = path.times_s < 2 * period_s
     time_s, y = path.times_s[first], path.shown_y[first]
     phase = 2 * np.pi * time_s / period_s

@@ -281,7 +281,7 @@ class DecayFit(NamedTuple):
 class Refinement(NamedTuple):
     """Outcome of a second measurement."""
 
-    swings: Sequence[HalfCycle]
+    half_cycles: Sequence[HalfCycle]
     """Half-cycles to use."""
     motion: KnownMotion | None
     """Motion that gave their waveform; None where they stay as detected, with the reason in `doubt`."""
@@ -366,4 +366,4 @@ def fitted_twice(
     refined = second_measurement(detected[len(earlier) :], blocks, motion)
     outcome = judge_refinement(detected, [*detected[: len(earlier)], *refined], motion, first, fit)
     outcome = outcome._replace(doubt="; ".join(filter(None, [remark, outcome.doubt])))
-    return outcome, outcome.exact or fit.of(outcome.swings, first)
+    return outcome, outcome.exact or fit.of(outcome.half_cycles, first)

@@ -59,7 +59,7 @@ from rig.settings import FitSettings
 
 
 def refined_half_cycles(
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     pendulum: PendulumOnBall | None,
@@ -79,31 +79,31 @@ def refined_half_cycles(
     an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
-        return Refinement(swings, None)
-    swings = with_learned_weights(swings)
-    harmonics = _harmonics_of(blocks, swings)
+        return Refinement(half_cycles, None)
+    half_cycles = with_learned_weights(half_cycles)
+    harmonics = _harmonics_of(blocks, half_cycles)
     fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     remark = ""
     try:
-        first = fit.of(swings)
-        swings, remark = up_to_rest_step(swings, first.evidence.knocks)
+        first = fit.of(half_cycles)
+        half_cycles, remark = up_to_rest_step(half_cycles, first.evidence.knocks)
         if remark:
-            harmonics = _harmonics_of(blocks, swings)
+            harmonics = _harmonics_of(blocks, half_cycles)
             fit = fit._replace(evidence=evidence_of(drag, harmonics))
-            first = fit.of(swings)
-        motion = fit.motion(first, swings)
+            first = fit.of(half_cycles)
+        motion = fit.motion(first, half_cycles)
     except DataError:
-        return Refinement(swings, None, doubt=remark, harmonics=harmonics)
-    watch = CycleExtractor(swings, motion)
-    deflections = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
+        return Refinement(half_cycles, None, doubt=remark, harmonics=harmonics)
+    watch = CycleExtractor(half_cycles, motion)
+    deflections = [h.centre + h.side * h.amplitude for h in half_cycles if not h.flags]
     search = PositionMapSearch(min(deflections), max(deflections), watch.pending_cycles)
-    remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
-    refined = judge_refinement(swings, remeasured, motion, first, fit)._replace(harmonics=harmonics)
+    remeasured = second_measurement(half_cycles, _search_errors(blocks, watch, search), motion)
+    refined = judge_refinement(half_cycles, remeasured, motion, first, fit)._replace(harmonics=harmonics)
     doubts = [remark, refined.doubt]
     errors = search.position_map()
     if errors is not None:
         exact = refined.exact or first
-        corrected = _without_position_errors(swings, blocks, motion, exact, errors, fit, drag)
+        corrected = _without_position_errors(half_cycles, blocks, motion, exact, errors, fit, drag)
         if corrected is not None:
             return corrected._replace(doubt=remark)
         doubts.append(
@@ -123,7 +123,7 @@ def _search_errors(
 
 
 def _without_position_errors(
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     first_fit: FitResult,
@@ -137,7 +137,7 @@ def _without_position_errors(
     therefore repeated without them. The fitted law then adjusts the part of the map that residuals leave
     open.
     """
-    exact, final_map, remeasured = first_fit, position_map, swings
+    exact, final_map, remeasured = first_fit, position_map, half_cycles
     harmonics: PieceHarmonics | None = None
     try:
         for step in range(3):
@@ -148,8 +148,8 @@ def _without_position_errors(
             if step == 2:
                 errors = _position_errors(position_map, remeasured, exact, fit)
                 final_map = position_map.adjusted(errors.values, errors.covariance)
-            remeasured = second_measurement(swings, map(final_map.corrected, blocks), motion)
-            if not measurement_shift(swings, remeasured).complete:
+            remeasured = second_measurement(half_cycles, map(final_map.corrected, blocks), motion)
+            if not measurement_shift(half_cycles, remeasured).complete:
                 return None
             exact = fit.of(remeasured, exact)
             if step < 2:
@@ -163,13 +163,16 @@ def _without_position_errors(
 
 
 def _with_remaining_errors(
-    position_map: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
+    position_map: PositionMap,
+    blocks: Iterable[Deflections],
+    half_cycles: Sequence[HalfCycle],
+    motion: KnownMotion,
 ) -> PositionMap:
     """The map with the errors that the corrected deflections still show.
 
     The places of the first map are measured deflections, which the errors have shifted.
     """
-    watch = CycleExtractor(swings, motion)
+    watch = CycleExtractor(half_cycles, motion)
     search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
     for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
@@ -177,21 +180,21 @@ def _with_remaining_errors(
     return position_map if remaining is None else position_map.plus(remaining)
 
 
-def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> PieceHarmonics:
-    measurement = HarmonicsMeasurement(swings)
+def _harmonics_of(blocks: Iterable[Deflections], half_cycles: Sequence[HalfCycle]) -> PieceHarmonics:
+    measurement = HarmonicsMeasurement(half_cycles)
     for block in blocks:
         measurement.update(block)
     return measurement.harmonics()
 
 
 def _position_errors(
-    position_map: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
+    position_map: PositionMap, half_cycles: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
 ) -> PositionErrorFit:
     """The position errors that the residuals leave open, by the fit."""
-    unflagged = [swing for swing in swings if not swing.flags]
+    unflagged = [h for h in half_cycles if not h.flags]
     amplitude, centre, side = np.array([(h.amplitude, h.centre, h.side) for h in unflagged]).T
     errors = position_map.amplitude_errors(amplitude, centre, side)
-    return fit_position_errors(LinearisedFit.of(fit.points(swings), fit.pendulum, exact), errors)
+    return fit_position_errors(LinearisedFit.of(fit.points(half_cycles), fit.pendulum, exact), errors)
 
 
 def loss_of(settings: FitSettings) -> Loss:

@@ -67,13 +67,15 @@ def analyse_swings(
         return _reduce_run(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, air_drag = FREE_DRAG, None
-    detected = points_in_true_time(followed.swings, clock_rate)
+    detected = points_in_true_time(followed.half_cycles, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, air_drag = drag_of_fit(config, air, pendulum, mean_period(detected))
     drifts = assumed_drifts(config, air)
-    refined = refined_half_cycles(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
-    points = points_in_true_time(refined.swings, clock_rate)
-    unflagged = [swing for swing in refined.swings if not swing.flags]
+    refined = refined_half_cycles(
+        followed.half_cycles, deflections, unit, pendulum, config.fit, clock_rate, drag
+    )
+    points = points_in_true_time(refined.half_cycles, clock_rate)
+    unflagged = [h for h in refined.half_cycles if not h.flags]
     fits: Mapping[str, FitResult] = {}
     use, problem = None, followed.problem
     if not problem and unit is not DeflectionUnit.RAD:
@@ -102,7 +104,7 @@ def analyse_swings(
         delay = row_delay(refined.harmonics, mean_period(points))
         if delay.seen:
             warnings.append(delay.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
-    rest_rad = float(np.median([swing.centre for swing in unflagged] or [0.0]))
+    rest_rad = float(np.median([h.centre for h in unflagged] or [0.0]))
     inputs = {
         "common_amplitude_rad": InputQuantity(0.0, u_common_rad),
         "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
@@ -117,7 +119,7 @@ def analyse_swings(
         problem=why_no_half_cycles(path.name, ratio, len(points), config.axes) or problem,
         warnings=tuple(warnings),
         settings=config.fit.model_dump(),
-        turning_points=StoredTurningPoints.of(points, refined.swings, unit, clock_rate),
+        turning_points=StoredTurningPoints.of(points, refined.half_cycles, unit, clock_rate),
         seismometer=use,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
@@ -144,7 +146,7 @@ def _reduce_run(
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
-        turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
+        turning_points=StoredTurningPoints.of(reduction.points, reduction.half_cycles, unit, clock_rate),
         reduction=reduction,
     )
 

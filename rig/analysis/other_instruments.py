@@ -51,9 +51,9 @@ _Values = TypeVar("_Values", bound=NamedTuple)
 class Reduction:
     """Results of one run of such a pendulum, collected while it is evaluated."""
 
-    def __init__(self, settings: InstrumentSettings, run: str, swings: Sequence[HalfCycle]) -> None:
-        self.settings, self.swings, self._run = settings, swings, run
-        self.points = turning_points(swings)
+    def __init__(self, settings: InstrumentSettings, run: str, half_cycles: Sequence[HalfCycle]) -> None:
+        self.settings, self.half_cycles, self._run = settings, half_cycles, run
+        self.points = turning_points(half_cycles)
         self.errors: Sequence[SharedError] = ()
         """Errors that the points share."""
         self.lines = [f"{self.description.kind}: {self.description.sentence}"]
@@ -216,19 +216,21 @@ def reduce_run(
     run
         The name of the run in its rows.
     """
-    report = Reduction(settings, run, followed.swings)
-    description, swings = report.description, report.swings
+    report = Reduction(settings, run, followed.half_cycles)
+    description, half_cycles = report.description, report.half_cycles
     problems = [followed.problem] if followed.problem else []
     if description.turning_plane or followed.is_turned:
         _swing_plane(followed, report)
     deflections = joined(followed.deflections, DeflectionUnit.RAD)
     if len(deflections):
-        if len(swings) > 1:
-            swings = refined_turning_points(deflections.times_ns, deflections.y, deflections.u_y, swings)
-        swings = _with_inferred(report, swings, deflections)
+        if len(half_cycles) > 1:
+            half_cycles = refined_turning_points(
+                deflections.times_ns, deflections.y, deflections.u_y, half_cycles
+            )
+        half_cycles = _with_inferred(report, half_cycles, deflections)
         if description.report == "hardness":
-            swings = _with_release(report, swings, deflections)
-    report.swings, report.points = swings, points_in_true_time(swings, clock_rate)
+            half_cycles = _with_release(report, half_cycles, deflections)
+    report.half_cycles, report.points = half_cycles, points_in_true_time(half_cycles, clock_rate)
     report.errors = [*errors, *_plane_errors(followed, report.points)]
     try:
         if followed.problem:
@@ -251,7 +253,7 @@ def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
     rate = Estimate(plane.mean_rate(), plane.u_mean_rate())
     rate_deg_per_min, rotation_deg = (
         Estimate(*(factor / DEGREE_RAD * value for value in rate))
-        for factor in (60.0, seconds(followed.swings[-1].turn_time_ns - plane.start_ns))
+        for factor in (60.0, seconds(followed.half_cycles[-1].turn_time_ns - plane.start_ns))
     )
     angles = np.unwrap([balance.line_angle_rad for balance in followed.balances], period=math.pi)
     times_ns = np.array([balance.time_ns for balance in followed.balances])
@@ -276,23 +278,23 @@ def _plane_errors(followed: FollowedPlane, points: TurningPoints) -> list[Shared
 
 
 def _with_inferred(
-    report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
+    report: Reduction, half_cycles: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with those whose turning point lay off the sensor, which a row counts."""
     inferred = inferred_half_cycles(deflections.times_ns, deflections.y, deflections.u_y)
     if not inferred:
-        return swings
-    swings = joined_half_cycles(swings, inferred)
-    count = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in swings)
+        return half_cycles
+    half_cycles = joined_half_cycles(half_cycles, inferred)
+    count = sum(bool(h.flags & HalfCycleFlag.INFERRED) for h in half_cycles)
     report.add(inferred_half_cycles=count)
-    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in swings]
+    return [replace(h, flags=h.flags & ~int(HalfCycleFlag.INFERRED)) for h in half_cycles]
 
 
 def _with_release(
-    report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
+    report: Reduction, half_cycles: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with the release as the first turning point, where it was recorded; a line says which."""
-    released = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
+    released = with_release(deflections.times_ns, deflections.y, deflections.u_y, half_cycles)
     if released is not None:
         # its time alone says nothing, since deflections may begin at any time before it
         release, turn = released[:2]
@@ -301,12 +303,12 @@ def _with_release(
         angle = with_uncertainty(release.amplitude / DEGREE_RAD, release.u_amplitude / DEGREE_RAD)
         report.lines.append(f"released at {angle} degrees, {delay} s before the next turning point")
         return released
-    if any(swing.flags & HalfCycleFlag.START for swing in swings):
+    if any(h.flags & HalfCycleFlag.START for h in half_cycles):
         report.lines.append(
             "the release itself is disturbed or was not recorded: the first swing is that from the first "
             "turning point seen"
         )
-    return swings
+    return half_cycles
 
 
 def _check_conditions(report: Reduction, air: AmbientConditions) -> None:

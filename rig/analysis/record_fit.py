@@ -70,7 +70,7 @@ def analyse_record(
         return analyse_run(
             reader,
             config,
-            reader.swings(),
+            reader.half_cycles(),
             blocks,
             reader.deflection_unit,
             blocks.beam,
@@ -102,7 +102,7 @@ class _RecordedDeflections:
 def analyse_run(
     reader: RecordReader,
     config: Configuration,
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     beam: BeamUse,
@@ -122,18 +122,18 @@ def analyse_run(
     for correction in (beam_motion, fixed_light):
         if correction is not None and correction.used:
             blocks = ChangedDeflections(blocks, correction.correct)
-            swings, balances = half_cycles_of_blocks(blocks), ()
+            half_cycles, balances = half_cycles_of_blocks(blocks), ()
     deflections, ambient = PassingDeflections(blocks, unit), recorded_ambient(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     kind = config.instrument.description()
     followed = follow_plane(
-        swings,
+        half_cycles,
         deflections,
         config.axes,
         along_line=kind.turning_plane,
-        balances=balances_for_plane(balances, swings, config.axes),
+        balances=balances_for_plane(balances, half_cycles, config.axes),
     )
     if seismometer is None:
         seismometer = recorded_seismometer(reader, config)

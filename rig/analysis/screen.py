@@ -127,12 +127,14 @@ def print_series(series: Series | None) -> None:
 
 
 def _print_decay(number: int, run: AnalysedRun, decay: TableDecay) -> None:
-    usable, (first, last) = len(turning_points(run.swings)), run.amplitudes
-    counts = Counter(text for swing in run.swings for flag, text in _FLAG_TEXTS.items() if swing.flags & flag)
+    usable, (first, last) = len(turning_points(run.detected_half_cycles)), run.amplitudes
+    counts = Counter(
+        text for h in run.detected_half_cycles for flag, text in _FLAG_TEXTS.items() if h.flags & flag
+    )
     reasons = ", ".join(f"{count} {text}" for text, count in counts.most_common())
     heading = (
         f"decay {number}, {decay.began_s:.4g} to {decay.ended_s:.4g} s: {usable} half-cycles "
-        f"({len(run.swings) - usable} more flagged and left out{reasons and f': {reasons}'}), "
+        f"({len(run.detected_half_cycles) - usable} more flagged and left out{reasons and f': {reasons}'}), "
         f"amplitude {first:.4g} to {last:.4g} {run.amplitude_unit}"
     )
     print_run(run, heading, decay_lines(run))

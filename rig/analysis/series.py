@@ -42,7 +42,7 @@ class AnalysedRun(RunResults):
 
     path: Path
     """The file that was analysed."""
-    swings: Sequence[HalfCycle] = ()
+    detected_half_cycles: Sequence[HalfCycle] = ()
     """Half-cycles that were detected in a table."""
     fitted: Mapping[str, FitResult] = field(default_factory=dict)
     """The fits whose numbers are in the results."""

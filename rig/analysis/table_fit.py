@@ -76,7 +76,7 @@ class AnalysedTable(SessionResults):
     @property
     def longest(self) -> AnalysedRun:
         """The decay with most half-cycles."""
-        return max(self.runs, key=lambda run: len(turning_points(run.swings)))
+        return max(self.runs, key=lambda run: len(turning_points(run.detected_half_cycles)))
 
 
 def analyse_trajectory(
@@ -97,8 +97,8 @@ def analyse_trajectory(
     scale = trajectory.scale_rad or 1.0
     along, across = (axis * scale for axis in along_and_across(trajectory.positions))
     scatter = estimate_scatter(trajectory.times_ns, along)
-    swings = half_cycles_of(trajectory.times_ns, along, scatter.u_deflection)
-    decays = separate_decays(swings)
+    half_cycles = half_cycles_of(trajectory.times_ns, along, scatter.u_deflection)
+    decays = separate_decays(half_cycles)
     usable = [decay for decay in decays if len(turning_points(decay)) >= MIN_TURNING_POINTS]
     if not usable:
         judge_time_unit(path, trajectory)
@@ -108,8 +108,8 @@ def analyse_trajectory(
             "--position choose others"
         )
         raise DataError(
-            f"{path}: {count} usable half-cycle{'' if count == 1 else 's'} ({len(swings) - count} more are "
-            f"flagged or of other decays), at least {MIN_TURNING_POINTS} are needed: the samples hold no "
+            f"{path}: {count} usable half-cycle{'' if count == 1 else 's'} ({len(half_cycles) - count} more "
+            f"are flagged or of other decays), at least {MIN_TURNING_POINTS} are needed: the samples hold no "
             "free decay, too little of one, or a second oscillation as large, which has to be filtered. "
             f"{remedy}"
         )
@@ -150,7 +150,7 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
 
 def _analyse(
     path: Path,
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     trajectory: Trajectory,
     deflections: Deflections,
     scatter: SampleScatter,
@@ -161,12 +161,14 @@ def _analyse(
     """Results of one decay, by the same steps as those of a record."""
     times_ns, scale = trajectory.times_ns, trajectory.scale_rad or 1.0
     u_common = trajectory.u_common_over_noise * scatter.noise
-    edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
-    inside = (times_ns > swings[0].turn_time_ns - edge_ns) & (times_ns < swings[-1].turn_time_ns + edge_ns)
+    edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(half_cycles)).period_s.value
+    inside = (times_ns > half_cycles[0].turn_time_ns - edge_ns) & (
+        times_ns < half_cycles[-1].turn_time_ns + edge_ns
+    )
     passing = PassingDeflections([deflections[inside]], DeflectionUnit.RAD)
-    followed = _without_fast_mode(follow_plane(swings, passing, None, along_line=True))
-    swings = followed.swings
-    points = turning_points(swings)
+    followed = _without_fast_mode(follow_plane(half_cycles, passing, None, along_line=True))
+    half_cycles = followed.half_cycles
+    points = turning_points(half_cycles)
     summary = summarise_decay(points)
     problem = missing_for_laws(trajectory, config)
     sha256 = cached_sha256(path)
@@ -178,7 +180,7 @@ def _analyse(
         air = stated_ambient(config)
         run = analyse_swings(path, followed, config, air, seismometer=seismometer, u_common_rad=u_common)
         run = with_laws(run, laws) if laws else run
-    unflagged_ns = [swing.turn_time_ns for swing in swings if not swing.flags]
+    unflagged_ns = [h.turn_time_ns for h in half_cycles if not h.flags]
     # without the time in which the pendulum is held or pushed
     free = times_ns[inside] >= unflagged_ns[0]
     along = np.concatenate([block.y for block in followed.deflections])
@@ -208,7 +210,7 @@ def _analyse(
         notes += _exact_scale_notes(config) if run.budget else []
     return replace(
         run,
-        swings=swings,
+        detected_half_cycles=half_cycles,
         table=(*run.table, *decay_rows(points, values, trajectory.unit, scale, path.stem)),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,
@@ -216,7 +218,7 @@ def _analyse(
         damping=values.damping,
         warnings=tuple(warnings),
         notes=(*run.notes, *filter(None, notes)),
-        turning_points=run.turning_points or StoredTurningPoints.of(points, swings, unit, 1.0),
+        turning_points=run.turning_points or StoredTurningPoints.of(points, half_cycles, unit, 1.0),
         decay=TableDecay(
             began_s=seconds(unflagged_ns[0]),
             ended_s=seconds(unflagged_ns[-1]),
@@ -235,14 +237,14 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     """
     if followed.problem:
         return followed
-    period_s = summarise_decay(turning_points(followed.swings)).period_s.value
+    period_s = summarise_decay(turning_points(followed.half_cycles)).period_s.value
     both = joined(followed.deflections, DeflectionUnit.RAD)
     ratio = fast_mode_ratio(both.times_ns, both.y, both.x, period_s)
     if not ratio:
         return followed
     slow = replace(both, y=both.y - ratio * both.x, u_y=np.hypot(both.u_y, ratio * both.u_x))
     passing = PassingDeflections([slow], DeflectionUnit.RAD)
-    return replace(followed, swings=half_cycles_of_blocks(passing), deflections=passing)
+    return replace(followed, half_cycles=half_cycles_of_blocks(passing), deflections=passing)
 
 
 def _both_deflections(times_ns: Ints, x: Floats, y: Floats, scatter: SampleScatter) -> Deflections:
@@ -269,7 +271,7 @@ def _exact_scale_notes(config: Configuration) -> list[str]:
     return lines
 
 
-def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
+def separate_decays(half_cycles: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     """The half-cycles of every decay, in order.
 
     A decay begins with the first half-cycle, with one in which the detector saw a release or a kick, and
@@ -277,24 +279,24 @@ def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     """
     decays: list[list[HalfCycle]] = []
     previous: HalfCycle | None = None
-    for swing in swings:
+    for half_cycle in half_cycles:
         is_new = previous is not None and (
-            bool(swing.flags & HalfCycleFlag.START) or _is_pushed(previous, swing)
+            bool(half_cycle.flags & HalfCycleFlag.START) or _is_pushed(previous, half_cycle)
         )
         if not decays or is_new:
             decays.append([])
             previous = None
-        decays[-1].append(swing)
-        if not swing.flags:
-            previous = swing
+        decays[-1].append(half_cycle)
+        if not half_cycle.flags:
+            previous = half_cycle
     return decays
 
 
-def _is_pushed(previous: HalfCycle, swing: HalfCycle) -> bool:
+def _is_pushed(previous: HalfCycle, half_cycle: HalfCycle) -> bool:
     """Whether an unflagged half-cycle is clearly larger than the previous unflagged one."""
-    growth = swing.amplitude - previous.amplitude
+    growth = half_cycle.amplitude - previous.amplitude
     return (
-        not swing.flags
-        and swing.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
-        and growth > _MIN_PUSHED_U * hypot(swing.u_amplitude, previous.u_amplitude)
+        not half_cycle.flags
+        and half_cycle.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
+        and growth > _MIN_PUSHED_U * hypot(half_cycle.u_amplitude, previous.u_amplitude)
     )

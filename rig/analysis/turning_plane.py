@@ -34,7 +34,7 @@ _PER_MIN: Final = 60.0 / DEGREE_RAD
 class FollowedPlane:
     """Half-cycles and deflections of a decay in its plane of swing."""
 
-    swings: Sequence[HalfCycle]
+    half_cycles: Sequence[HalfCycle]
     deflections: PassingDeflections
     balances: Sequence[Balance] = ()
     """Balances of the decay in the original deflections."""
@@ -52,7 +52,7 @@ class FollowedPlane:
         """Independent errors of the amplitudes (points, terms) by the uncertain plane; None if not turned."""
         if self.plane is None or not self.is_turned:
             return None
-        turns_ns = {swing.index: swing.turn_time_ns for swing in self.swings}
+        turns_ns = {h.index: h.turn_time_ns for h in self.half_cycles}
         times_ns = np.array([turns_ns.get(int(index), 0) for index in points.index], dtype=np.int64)
         return self._errors(self.plane, times_ns, points.amplitude)
 
@@ -88,9 +88,9 @@ class FollowedPlane:
         If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
         sqrt(sum (e_i/u_i)^2) of its standard uncertainties.
         """
-        unflagged = [swing for swing in self.swings if not swing.flags]
-        times_ns = np.array([swing.turn_time_ns for swing in unflagged], dtype=np.int64)
-        amplitude, u = np.array([(swing.amplitude, swing.u_amplitude) for swing in unflagged]).T
+        unflagged = [h for h in self.half_cycles if not h.flags]
+        times_ns = np.array([h.turn_time_ns for h in unflagged], dtype=np.int64)
+        amplitude, u = np.array([(h.amplitude, h.u_amplitude) for h in unflagged]).T
         angle = self.angle_rad(plane, times_ns)
         shifts = amplitude * (1.0 - np.cos(angle) + self._motion_across(plane) * np.abs(np.sin(angle)))
         shifts2 = shifts**2 + np.sum(self._errors(plane, times_ns, amplitude) ** 2, axis=1)
@@ -154,14 +154,14 @@ def _oblique_rad(axes: Axes) -> float:
 
 
 def balances_for_plane(
-    balances: Sequence[Balance], swings: Sequence[HalfCycle], axes: Axes | None
+    balances: Sequence[Balance], half_cycles: Sequence[HalfCycle], axes: Axes | None
 ) -> Sequence[Balance] | None:
     """The balances that a run made along its axes, as `follow_plane` takes them; None if it cannot.
 
     The axes have to be at a right angle, and nearly every period of the decay needs a balance: the estimate
     of a run may have failed while its detector went on.
     """
-    unflagged = [swing for swing in swings if not swing.flags]
+    unflagged = [h for h in half_cycles if not h.flags]
     if len(unflagged) < 2 or _oblique_rad(axes or _ORTHOGONAL_AXES):
         return None
     first, last = unflagged[0], unflagged[-1]
@@ -171,7 +171,7 @@ def balances_for_plane(
 
 
 def follow_plane(
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     deflections: PassingDeflections,
     axes: Axes | None,
     *,
@@ -197,16 +197,16 @@ def follow_plane(
     A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
     axes = axes or _ORTHOGONAL_AXES
-    unflagged = [swing for swing in swings if not swing.flags]
+    unflagged = [h for h in half_cycles if not h.flags]
     if len(unflagged) < 2:
-        return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
+        return FollowedPlane(half_cycles, deflections, along_line=along_line, axes=axes)
     if balances is None:
         estimator = PlaneBalances(axes, mean_period(turning_points(unflagged)))
         balances = [balance for block in deflections for balance in estimator.of(block)]
-    turns_ns = np.array([swing.turn_time_ns for swing in unflagged], dtype=np.int64)
+    turns_ns = np.array([h.turn_time_ns for h in unflagged], dtype=np.int64)
     balances = [balance for balance in balances if turns_ns[0] <= balance.time_ns <= turns_ns[-1]]
     plane = plane_of_swing(balances, turns_ns)
-    followed = FollowedPlane(swings, deflections, balances, plane, along_line=along_line, axes=axes)
+    followed = FollowedPlane(half_cycles, deflections, balances, plane, along_line=along_line, axes=axes)
     if plane is None or not followed.matters(plane):
         return followed
     if plane.doubt:
@@ -221,4 +221,4 @@ def follow_plane(
         return rotate(block, followed.angle_rad(plane, block.times_ns), _oblique_rad(axes))
 
     turned = PassingDeflections(ChangedDeflections(deflections, turn_back), deflections.unit)
-    return replace(followed, swings=half_cycles_of_blocks(turned), deflections=turned, is_turned=True)
+    return replace(followed, half_cycles=half_cycles_of_blocks(turned), deflections=turned, is_turned=True)

@@ -35,10 +35,10 @@ def _print_info(path: Path) -> None:
     with RecordReader(path) as reader:
         numbers_file, metadata = reader.numbers, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
-        half_cycles, unit = reader.swings(), reader.deflection_unit
+        half_cycles, unit = reader.half_cycles(), reader.deflection_unit
         attachments = {name: len(next(numbers_file.copies(name), b"")) for name in numbers_file.attachments}
         damages = reader.damages
-    amplitudes = [swing.amplitude / unit.shown_size for swing in half_cycles if not swing.flags]
+    amplitudes = [h.amplitude / unit.shown_size for h in half_cycles if not h.flags]
     amplitude = f"{amplitudes[0]:.2f} to {amplitudes[-1]:.2f} {unit.shown}" if amplitudes else "none"
     count = f"{len(half_cycles)}, {len(half_cycles) - len(amplitudes)} of them flagged"
     result = _result_summary(path)

@@ -112,10 +112,10 @@ class RecordFollower:
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in contents.half_cycles:
-                if not swing.flags:
-                    elapsed_s = _elapsed_s(swing.turn_time_ns, start_ns)
-                    self._measured.append((elapsed_s, round(swing.amplitude / size, _DECIMALS)))
+            for half_cycle in contents.half_cycles:
+                if not half_cycle.flags:
+                    elapsed_s = _elapsed_s(half_cycle.turn_time_ns, start_ns)
+                    self._measured.append((elapsed_s, round(half_cycle.amplitude / size, _DECIMALS)))
             points = [*self._fitted, *reader.values(RecordedFittedPoint, piece)]
             # only the points of the last fit
             self._fitted = [point for point in points if point.time_ns == points[-1].time_ns]

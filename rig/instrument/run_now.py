@@ -128,7 +128,7 @@ def piece_contents(reader: RecordReader, piece: Piece, start_ns: int, last_ns: i
     return RecordContents(
         start_ns,
         last_ns,
-        reader.swings(piece),
+        reader.half_cycles(piece),
         reader.balances(piece),
         [*reader.events(piece), *(note.event for note in notes)],
         [value for value_class in _STATE_KINDS for value in reader.values(value_class, piece)],

@@ -151,9 +151,9 @@ class MeasuredRun:
         half_cycles, blocks = self._half_cycles_in_plane()
         refined, self._last_fit = fitted_twice(half_cycles, blocks, fit, self._last_fit, self._fixed)
         if refined.exact is not None and self.samples > self._max_samples:
-            self._fix_older_half(refined.swings)
-        return refined.swings, with_discrepancy(
-            LinearisedFit.of(fit.points(refined.swings), fit.pendulum, self._last_fit)
+            self._fix_older_half(refined.half_cycles)
+        return refined.half_cycles, with_discrepancy(
+            LinearisedFit.of(fit.points(refined.half_cycles), fit.pendulum, self._last_fit)
         )
 
     def _half_cycles_in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:
@@ -166,10 +166,10 @@ class MeasuredRun:
             return self._refinable, self._blocks
         # the plane's half-cycles are numbered from the first deflection kept
         first = self._refinable[0]
-        nearest = min(plane.swings, key=lambda swing: abs(swing.turn_time_ns - first.turn_time_ns))
-        shift, indices = first.index - nearest.index, {swing.index for swing in self._refinable}
-        numbered = [replace(swing, index=swing.index + shift) for swing in plane.swings if not swing.flags]
-        return [swing for swing in numbered if swing.index in indices], plane.deflections
+        nearest = min(plane.half_cycles, key=lambda h: abs(h.turn_time_ns - first.turn_time_ns))
+        shift, indices = first.index - nearest.index, {h.index for h in self._refinable}
+        numbered = [replace(h, index=h.index + shift) for h in plane.half_cycles if not h.flags]
+        return [h for h in numbered if h.index in indices], plane.deflections
 
     def _fix_older_half(self, half_cycles: Sequence[HalfCycle]) -> None:
         half = len(self._refinable) // 2
@@ -209,7 +209,7 @@ class FollowedRun:
     def read(self) -> None:
         """Read what was flushed since the last call."""
         for piece in self._reader.unread():
-            half_cycles = self._reader.swings(piece)
+            half_cycles = self._reader.half_cycles(piece)
             deflections = self._reader.deflections(self._reader.table(SPOT.topic, piece))
             self._waveform.update(deflections)
             self._waveform.add(half_cycles)

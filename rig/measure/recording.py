@@ -281,14 +281,14 @@ class Recording:
     def _record(self, entry: RecordEntry) -> None:
         """Record an entry, unless it is empty, and inform the watchers, for whom notes are events, too."""
         block, counts = entry.block, self._counts
-        swings, balances = ([], []) if block is None else (block.half_cycles, block.balances)
+        half_cycles, balances = ([], []) if block is None else (block.half_cycles, block.balances)
         if block is not None or entry.events or entry.messages:
             self._recorder.put(entry)
-        if swings or balances or entry.events or entry.messages:
+        if half_cycles or balances or entry.events or entry.messages:
             notes = [message.event for message in entry.messages if isinstance(message, RecordedNote)]
             events = [*entry.events, *notes]
             self._status.tell(
-                RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, entry.messages)
+                RecordContents(counts.start_ns, counts.last_ns, half_cycles, balances, events, entry.messages)
             )
 
     def _notes(self) -> list[TimedMessage]:

@@ -91,9 +91,9 @@ class RunDisplay:
 
     def take(self, recorded: RecordContents) -> None:
         """Store turning points for the forecast, and the lines of events."""
-        for swing in recorded.half_cycles:
-            if not swing.flags:
-                point = seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude
+        for half_cycle in recorded.half_cycles:
+            if not half_cycle.flags:
+                point = seconds(half_cycle.turn_time_ns), half_cycle.amplitude, half_cycle.u_amplitude
                 self._turning_points.append(point)
         for event in recorded.events:
             elapsed_s = seconds(event.time_ns - recorded.start_ns)

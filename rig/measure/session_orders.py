@@ -182,9 +182,13 @@ class StartJudge:
         self._half_cycles = 0
         self.first_amplitude = 0.0
 
-    def rejection(self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float) -> str:
+    def rejection(
+        self, half_cycles: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
+    ) -> str:
         """Why the start is rejected; empty while the judgement is open and after the start was accepted."""
-        return self._first_half_cycles_fault(swings, balances, elapsed_s) or self._rotation_fault(balances)
+        return self._first_half_cycles_fault(half_cycles, balances, elapsed_s) or self._rotation_fault(
+            balances
+        )
 
     def _rotation_fault(self, balances: Sequence[Balance]) -> str:
         for balance in balances:
@@ -204,14 +208,14 @@ class StartJudge:
         return ""
 
     def _first_half_cycles_fault(
-        self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
+        self, half_cycles: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
     ) -> str:
         if self._is_accepted:
             return ""
-        for swing in swings:
-            if not swing.flags:
+        for half_cycle in half_cycles:
+            if not half_cycle.flags:
                 self._half_cycles += 1
-                self.first_amplitude = max(self.first_amplitude, swing.amplitude)
+                self.first_amplitude = max(self.first_amplitude, half_cycle.amplitude)
         has_amplitude = self._half_cycles >= _MIN_HALF_CYCLES
         if has_amplitude and not self._min_amplitude <= self.first_amplitude <= self._max_amplitude:
             first, lowest, highest = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.atomic_write import atomic_file, write_new
 from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import SPOT, SWING
+from acquisition.record.topics import HALF_CYCLE, SPOT
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError, optional_module
 from processing.units import NS_PER_S, conversion, in_ascii, unit_of_name
@@ -47,7 +47,7 @@ class ExportData:
     notes: tuple[str, ...] = ()
     """What is missing in the records: truncated or damaged parts."""
     columns: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """Columns of `spots` and `swings` of a run, by the record's names of fields."""
+    """Columns of `spots` and `half_cycles` of a run, by the record's names of fields."""
     began: str = ""
     ended: str = ""
     """UTC of the first and the last frame, as ISO 8601."""
@@ -55,7 +55,7 @@ class ExportData:
     """Units of the columns whose names do not end in them."""
 
     def unit_of(self, column: str) -> str:
-        """Unit of a column of `spots` or `swings`."""
+        """Unit of a column of `spots` or `half_cycles`."""
         return self.own_units.get(column) or unit_of_name(column)
 
 
@@ -90,7 +90,7 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         if configuration is not None:
             provenance["configuration"] = json.dumps(json.loads(configuration))
-        spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
+        spots, half_cycles = reader.table(SPOT.topic), reader.table(HALF_CYCLE.topic)
         began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
         notes = tuple(reader.doubts())
         numbers_file = reader.numbers
@@ -103,7 +103,7 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
             "run rig fit again"
         )
-    columns = {"spots": _fields(spots), "swings": _fields(swings)}
+    columns = {"spots": _fields(spots), "swings": _fields(half_cycles)}
     return ExportData(path.stem, results, provenance, notes, columns, began, ended)
 
 
@@ -155,15 +155,15 @@ def _read_table_decay(folder: Path, decay: RunResults, table_decay: TableDecay, 
     provenance |= {f"session.{name}": text for name, text in table_decay.session.items()}
     air = {} if decay.ambient is None else decay.ambient.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
-    swings: dict[str, NDArray[Any]] = {
+    half_cycles: dict[str, NDArray[Any]] = {
         "index": stored.index,
         "time_s": stored.first_ns / NS_PER_S + stored.time_s,
         "u_time_s": stored.u_time_s,
         f"amplitude_{suffix}": stored.amplitude,
         f"u_amplitude_{suffix}": stored.u_amplitude,
     }
-    units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
-    columns = {"spots": spots, "swings": swings}
+    units = {key: unit for key in (*spots, *half_cycles) if key.endswith(f"_{suffix}")}
+    columns = {"spots": spots, "swings": half_cycles}
     return ExportData(name, decay, provenance, columns=columns, own_units=units)
 
 

@@ -133,12 +133,12 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
         deflections = slow_deflections(measured.times_ns, measured.y_rad, noise_rad)
         half_cycles = half_cycles_of_blocks([deflections])
         refined = refined_half_cycles(half_cycles, [deflections], deflections.unit, pendulum, FitSettings())
-        points = turning_points(refined.swings)
+        points = turning_points(refined.half_cycles)
         exact = refined.exact or fit_exact(points, pendulum)
         run = AnalysedRun(
             path=Path(),
             record="",
-            turning_points=StoredTurningPoints.of(points, refined.swings, deflections.unit, 1.0),
+            turning_points=StoredTurningPoints.of(points, refined.half_cycles, deflections.unit, 1.0),
             fitted={
                 FitMethod.ASYMPTOTIC: fit_asymptotic(points, pendulum, exact=exact),
                 FitMethod.EXACT: exact,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Frame
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import BALANCE, SWING, RecordedWindow
+from acquisition.record.topics import BALANCE, HALF_CYCLE, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError
 from rig.analysis import ResultRow, SessionResults, read_results
@@ -76,7 +76,7 @@ class Record:
         with RecordReader(self.path) as reader:
             return reader.deflections()
 
-    def swings(self) -> NDArray[Any]:
+    def half_cycles(self) -> NDArray[Any]:
         """Half-cycles as a structured array (n,), one row each, as they were detected during the run.
 
         The names of the fields end in the unit: `amplitude_rad`, or `amplitude_px` without a lever. `flags`
@@ -84,7 +84,7 @@ class Record:
         turning points again.
         """
         with RecordReader(self.path) as reader:
-            return reader.table(SWING.topic)
+            return reader.table(HALF_CYCLE.topic)
 
     def balance(self) -> NDArray[Any]:
         """States of the balance as a structured array (n,), one row each, as determined during the run.

@@ -1,6 +1,6 @@
-"""The analysing layout of a record: curves of fits and the report's text, drawn in Rerun.
+"""The analysing layout of a record: curves of fits and the report's text, plotted in Rerun.
 
-Its XY plots are drawn in Spatial2DViews with axes of their own.
+Its XY plots are in Spatial2DViews with axes of their own.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ TRIMMED_PANELS: Final = frozenset({"period", "period_residuals"})
 LOWER_LEGEND_PANEL: Final = "period"
 """The panel whose curves rise to the right: its legend is in the lower right corner, others' in the upper."""
 COVERED_PANELS: Final = frozenset({"decay", "period"})
-"""Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
+"""Panels in which a good fit covers its data: curves plotted first are wider, so that they remain visible."""
 MAX_BARS: Final = 400
 """Largest number of error bars of one curve."""
 
@@ -54,7 +54,7 @@ class AnalysisCurve(NamedTuple):
     y: Floats
     """x and y in the units of `PANEL_TITLES`; NaN interrupts a line."""
     u_y: Floats | None = None
-    """Standard uncertainty of y, drawn as error bars."""
+    """Standard uncertainty of y, plotted as error bars."""
     style: Literal["points", "line"] = "line"
 
 
@@ -124,8 +124,8 @@ def _markdown(table: Table) -> str:
     return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])
 
 
-def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, unit: str) -> None:
-    """Draw axes and curves of each panel, and the report's text (Markdown), as entities without a time."""
+def plot_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, unit: str) -> None:
+    """Plot axes and curves of each panel, and the report's text (Markdown), as entities without a time."""
     for panel, (x_title, y_title) in PANEL_TITLES.items():
         curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:
@@ -145,7 +145,7 @@ def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], t
             colour = palette.curve_colour(curve.name, number)
             later = curves[number + 1 :] if panel in COVERED_PANELS else []
             lines_above = sum(other.style == "line" for other in later)
-            count = _draw_curve(stream, root, curve, graticule, colour, lines_above)
+            count = _plot_curve(stream, root, curve, graticule, colour, lines_above)
             entries.append((f"{curve.name} ({count} outside)" if count else curve.name, colour))
         legend = _legend(entries, graticule, is_low=panel == LOWER_LEGEND_PANEL)
         stream.log(f"{root}/legend", legend, static=True)
@@ -154,7 +154,7 @@ def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], t
         stream.log(layout.REPORT, document, static=True)
 
 
-def _draw_curve(
+def _plot_curve(
     stream: rr.RecordingStream,
     root: str,
     curve: AnalysisCurve,
@@ -162,9 +162,9 @@ def _draw_curve(
     colour: str,
     lines_above: int,
 ) -> int:
-    """Draw the part of a curve within the axes; return the number of points outside (0 for lines).
+    """Plot the part of a curve within the axes; return the number of points outside (0 for lines).
 
-    `lines_above` is the number of lines that are drawn over this curve, which is made wider for them.
+    `lines_above` is the number of lines that are plotted over this curve, which is made wider for them.
     """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
     points = graticule.to_plane(curve.x, curve.y)

@@ -34,7 +34,7 @@ class BalanceView:
     """The view in the balancing layout, where measurements follow each other in time; a context manager.
 
     The view is opened at the first frame, if a live view or a Rerun file is configured. At the end the file
-    is drawn, and the record removed. `advise` gives the text beside a balance; `report` gets all deflections.
+    is plotted, and the record removed. `advise` gives the text beside a balance; `report` all deflections.
     """
 
     def __init__(
@@ -98,9 +98,7 @@ class BalanceView:
         balances = [replace(balance, time_ns=balance.time_ns - shift_ns) for balance in block.balances]
         shifted = block._replace(
             deflections=replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns),
-            half_cycles=[
-                replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns) for swing in block.half_cycles
-            ],
+            half_cycles=[replace(h, turn_time_ns=h.turn_time_ns - shift_ns) for h in block.half_cycles],
             balances=balances,
         )
         advice = [Event(balance.time_ns, EventKind.ADVICE, self._advise(balance)) for balance in balances]

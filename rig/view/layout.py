@@ -1,6 +1,6 @@
 """Entity paths of Rerun, and the three layouts of panels.
 
-The y axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels of the
+The y axis of Rerun's spatial views points down: points are therefore plotted at -Y, while the labels of the
 graticule show +Y.
 
 The trajectory is stored once, in the unit of the setup, and shown in two views. Its entity TRAJECTORY has a
@@ -65,7 +65,7 @@ WHOLE_RUN: Final = rrb.TimeAxis(
 
 
 class Setup(NamedTuple):
-    """The values that a drawing needs before its first data."""
+    """The values that a plot needs before its first data."""
 
     title: str
     layout: LayoutName = "measuring"

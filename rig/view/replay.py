@@ -107,7 +107,7 @@ class Replay:
         self._half_cycles += half_cycles
         self._balances += balances
         dropped = self._last_sequence + 1 - sum(map(len, self._deflections))
-        comparison = self._comparison.finish(self._reader.swings(), self._half_cycles)
+        comparison = self._comparison.finish(self._reader.half_cycles(), self._half_cycles)
         return ReplayResult(
             self._half_cycles, self._balances, self._deflections, dropped, comparison, self._beam
         )

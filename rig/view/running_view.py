@@ -18,7 +18,7 @@ Mode = Literal["none", ShowMode]
 """How a view is shown, if at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 _MAX_SHOW_END_S = 10.0
-"""Longest time in which a window or page must draw the rest of a run's record."""
+"""Longest time in which a window or page must plot the rest of a run's record."""
 _PORT, _WEB_PORT = 9876, 9090
 
 
@@ -48,7 +48,7 @@ class RunningView:
                 say(f"live view: {page_address(port, web_port)}")
 
     def close(self) -> None:
-        """Wait, after the record is closed, until the process has drawn the rest of it."""
+        """Wait, after the record is closed, until the process has plotted the rest of it."""
         process = self._process
         if process is None:
             return

@@ -1,4 +1,4 @@
-"""`rig view`: draws a record, complete or being written, into a window, a page or a Rerun file."""
+"""`rig view`: plots a record, complete or being written, into a window, a page or a Rerun file."""
 
 import os
 import time
@@ -77,7 +77,7 @@ def show_record(
     with _viewer(mode, ports) if rrd is None else nullcontext() as viewer:
         while not follow or _await_record(path, identity, viewer):
             with _complete_output(rrd):
-                identity, is_rejected = _draw(path, layout, rrd, viewer)
+                identity, is_rejected = _plot_record(path, layout, rrd, viewer)
             if not (follow and is_rejected):
                 break
         if viewer is not None and not follow:
@@ -107,18 +107,18 @@ def _complete_output(rrd: Path | None) -> Iterator[None]:
     raise RecordError(f"the Rerun file {rrd} is not whole: {reason}; make it again elsewhere")
 
 
-def _draw(
+def _plot_record(
     path: Path, layout_name: LayoutName, rrd: Path | None, viewer: "ViewerProgram | None"
 ) -> tuple[_Identity | None, bool]:
-    """Draw a record into a recording of Rerun, in a viewer or else a file, with constant memory.
+    """Plot a record into a recording of Rerun, in a viewer or else a file, with constant memory.
 
     Returns the identity of the record's file, and whether its start was rejected.
     """
     import rerun as rr
 
     from rig.view import layout
-    from rig.view.drawing import Drawing
-    from rig.view.follower import RecordDrawer, configuration_of
+    from rig.view.follower import RecordPlotter, configuration_of
+    from rig.view.plotting import RunPlot
 
     with _open_reader(path) as reader:
         identity = _identity(reader.files[0].file.fileno())
@@ -132,25 +132,25 @@ def _draw(
         limit_s, limit_rows = _LIVE_LIMIT_S, _LIVE_LIMIT_ROWS
         if viewer is None:
             limit_s, limit_rows, interval_s = _FILE_LIMIT_S, _FILE_LIMIT_ROWS, _FILE_PICTURE_S
-        drawing = Drawing(stream, setup, limit_s=limit_s, limit_rows=limit_rows)
-        drawer = RecordDrawer(reader, drawing, picture_interval_s=interval_s)
+        plot = RunPlot(stream, setup, limit_s=limit_s, limit_rows=limit_rows)
+        plotter = RecordPlotter(reader, plot, picture_interval_s=interval_s)
         for _ in reader.follow(_POLL_INTERVAL_S):
-            drawer.take()
+            plotter.take()
             if viewer is not None:
-                drawing.send(now=True)
+                plot.send(now=True)
                 # a stalled viewer is not waited for
                 with suppress(RuntimeError, TimeoutError):
                     stream.flush(timeout_sec=_MAX_FLUSH_S)
                 if not viewer.is_open:
                     return identity, False
-        drawer.finish()
+        plotter.finish()
         if reader.truncated:
             say(reader.cut_notice)
         if layout_name == "analysing":
-            from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
+            from rig.view.analysis import analysis_curves, plot_fits, report_text, run_analysis
 
             run = run_analysis(path)
-            draw_fits(stream, analysis_curves(run), report_text(run), setup.unit)
+            plot_fits(stream, analysis_curves(run), report_text(run), setup.unit)
         with suppress(RuntimeError, TimeoutError) if viewer is not None else nullcontext():
             stream.flush(timeout_sec=_MAX_FLUSH_S)
         end = end_of(reader.events())
@@ -159,10 +159,10 @@ def _draw(
 
 
 def setup_of(reader: RecordReader, layout: LayoutName) -> "Setup":
-    """The setup of the drawing of a record."""
-    from rig.view.drawing import parameter_display
+    """The setup of the plot of a record."""
     from rig.view.follower import configuration_of
     from rig.view.layout import Setup
+    from rig.view.plotting import parameter_display
 
     config = configuration_of(reader)
     title = reader.path.stem

@@ -81,14 +81,14 @@ class TransverseCurves:
 
 
 class Decimator:
-    """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag."""
+    """Chooses the samples to be plotted: the first of each interval ``1 / rate_hz``, and all with a flag."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz = rate_hz
         self._last_interval = -(2**62)
 
     def choose(self, time_s: Floats, flags: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of the samples (n,), in order of time, are drawn; intervals continue from call to call."""
+        """Which of the samples (n,), in order of time, are plotted; intervals continue from call to call."""
         # Rounding must not move a sample at the beginning of an interval into the previous one.
         interval = np.floor(time_s * self._rate_hz + 1e-3).astype(np.int64)
         previous = np.concatenate(([self._last_interval], interval[:-1]))
@@ -197,7 +197,7 @@ _HYSTERESIS = 0.9
 
 
 class Lissajous:
-    """Draws the trajectory (X, Y), shown at equal scales and with X stretched.
+    """Plots the trajectory (X, Y), shown at equal scales and with X stretched.
 
     Axes and styles are sent to `stream`, the trajectory to `buffer`. The range of the axes is set for the
     expected `amplitude` at first, then follows the largest deflection in `_EXTENT_PERIODS` slow periods.
@@ -225,9 +225,9 @@ class Lissajous:
         dot = rr.Points2D.from_fields(colors=(255, 255, 255), radii=rr.Radius.ui_points(4.0), draw_order=20.0)
         stream.log(f"{layout.TRAJECTORY}/{layout.POSITION}", dot, static=True)
         stream.set_time(layout.TIMELINE, duration=0.0)
-        self._draw_axes()
+        self._plot_axes()
 
-    def draw(self, time_s: Floats, x: Floats, y: Floats) -> None:
+    def plot(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Continue the trajectory with the points (x, y), each (n,); NaN interrupts the line."""
         # y points down in Rerun's spatial views.
         ends_s, strips = self._trail.strips(time_s, np.column_stack((x, -y)))
@@ -255,9 +255,9 @@ class Lissajous:
             return
         self._reach = reach
         self._stream.set_time(layout.TIMELINE, duration=float(time_s[0]))
-        self._draw_axes()
+        self._plot_axes()
 
-    def _draw_axes(self) -> None:
+    def _plot_axes(self) -> None:
         scale = PLANE_REACH / self._reach
         self._stream.log(layout.TRAJECTORY, rr.Transform3D(scale=[scale, scale, 1.0]))
         for root, stretch in ((layout.EQUAL, 1.0), (layout.STRETCHED, layout.X_STRETCH)):

@@ -70,7 +70,7 @@ def at_turns(flat: str, time_s: Floats, angle_rad: Floats, seed: int) -> Turning
 
 
 def seen(flat: str, path_rad: Floats, seed: int) -> TurningPoints:
-    return turning_points(in_frames(path_rad, [seed, 78], paper_pair(flat)[1]).swings)
+    return turning_points(in_frames(path_rad, [seed, 78], paper_pair(flat)[1]).half_cycles)
 
 
 def white(q: float) -> Points:
@@ -173,7 +173,7 @@ def air() -> list[Case]:
             number, noise_seed = divmod(seed, SEEDS_APART)
             settled = in_frames(path, [noise_seed, 78, number], pendulum)
             evidence = evidence_of(FittedDrag(), settled.harmonics)
-            fit = fit_exact(turning_points(settled.swings), pendulum, drag=True, evidence=evidence)
+            fit = fit_exact(turning_points(settled.half_cycles), pendulum, drag=True, evidence=evidence)
             return of_fit(fit, truth_of(parameters, drag=True))
 
         return Case(f"air: drag {1e3 * drag_s:g} ms, " + ("recorded" if q is None else f"q={q:g}"), found)

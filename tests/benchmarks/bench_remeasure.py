@@ -105,7 +105,7 @@ def case(
             half_cycles_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
             drag=FittedDrag(fitted=drag),
         )  # fmt: skip
-        fit = refined.exact or fit_exact(turning_points(refined.swings), samples.pendulum, drag=drag)
+        fit = refined.exact or fit_exact(turning_points(refined.half_cycles), samples.pendulum, drag=drag)
         return of_fit(fit, truth_of(samples.parameters, drag))
 
     return Case(name, found)

@@ -67,7 +67,7 @@ def outcome(case: Case, seed: int) -> tuple[float, bool]:
     path = changing_path(PARAMETERS, PENDULUM, WORLDS[case.world], q=case.q, seed=seed)[2]
     drag, settings = FittedDrag(prior_s=KNOWN_S), FitSettings()
     settled = in_frames(path, [seed, 78], PENDULUM, drag)
-    points = turning_points(settled.swings)
+    points = turning_points(settled.half_cycles)
     evidence = evidence_of(drag, settled.harmonics)
     fit = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)[0][FitMethod.EXACT]
     b, u = fit.estimate("b")

@@ -84,5 +84,5 @@ def in_frames(
 ) -> Refinement:
     """What a session makes of a path that a camera sees: detected, and measured again."""
     samples = seen_in_frames(path_rad, NOISE_ARCSEC * ARCSEC, list(seed), FRAMES_PER_S)
-    swings = half_cycles_of_blocks([samples])
-    return refined_half_cycles(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)
+    half_cycles = half_cycles_of_blocks([samples])
+    return refined_half_cycles(half_cycles, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)

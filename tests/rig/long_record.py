@@ -53,12 +53,12 @@ def make_long_record(path: Path, spots: int, *, windows: bool = True) -> Path:
             listed = times_ns.tolist()
             deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.RAD)
             writer.write_spots(sequences.tolist(), listed, listed, spot[: len(y)], deflections)
-            for swing in detector.update(times_ns, y, u):
-                writer.write_half_cycle(swing)
+            for half_cycle in detector.update(times_ns, y, u):
+                writer.write_half_cycle(half_cycle)
             if windows:
                 for sequence, time_ns in zip(sequences.tolist(), listed, strict=True):
                     writer.write_window(sequence, time_ns, WINDOW, 639, 511)
             writer.flush()
-        for swing in detector.finish():
-            writer.write_half_cycle(swing)
+        for half_cycle in detector.finish():
+            writer.write_half_cycle(half_cycle)
     return path

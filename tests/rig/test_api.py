@@ -96,7 +96,7 @@ UNCALIBRATED = SAMPLES / "uncalibrated" / "run-1.mcap"
 def test_an_uncalibrated_record_says_px() -> None:
     record = rig.open_record(UNCALIBRATED)
     assert record.unit == record.deflections().unit == "px"
-    assert "amplitude_px" in record.swings().dtype.names
+    assert "amplitude_px" in record.half_cycles().dtype.names
 
 
 def test_what_is_not_meant_is_refused_in_one_line(tmp_path: Path) -> None:

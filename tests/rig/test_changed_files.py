@@ -98,7 +98,7 @@ def test_a_record(record: tuple[Path, bytes, set[bytes]], wanted: list[tuple[str
             assert {row.tobytes() for row in reader.spots()} <= rows
             list(reader.windows())
             list(reader.images())
-            reader.swings(), reader.events(), reader.losses(), reader.attachments
+            reader.half_cycles(), reader.events(), reader.losses(), reader.attachments
 
     one_line(everything)
     one_line(lambda: check_record(path))

@@ -30,7 +30,7 @@ class Expected(NamedTuple):
     spots: list[Spot]
     deflections: np.ndarray
     windows: list[tuple[int, np.ndarray, tuple[int, int]]]
-    swings: list[HalfCycle]
+    half_cycles: list[HalfCycle]
     images: list[Frame]
     balances: list[Balance]
 
@@ -75,9 +75,9 @@ def write_sample(
                 done.windows.append((sequence, pixels, (sequence % 7, 3)))
                 writer.write_window(sequence, sequence * FRAME_NS, pixels, sequence % 7, 3, about_it)
             time_ns = int(times[-1])
-            swing = HalfCycle(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
-            done.swings.append(swing)
-            writer.write_half_cycle(swing)
+            half_cycle = HalfCycle(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
+            done.half_cycles.append(half_cycle)
+            writer.write_half_cycle(half_cycle)
             done.balances.append(sample_balance(rng, time_ns, unit))
             writer.write_balance(done.balances[-1])
             if first % (4 * BLOCK) == 0:

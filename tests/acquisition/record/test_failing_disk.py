@@ -261,7 +261,7 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     assert _run(["mount", "-o", "loop", str(image), str(folder)]) == ""
     with RecordReader(path) as reader:
         assert reader.truncated
-        assert [swing.index for swing in reader.swings()] == list(range(60))
+        assert [h.index for h in reader.half_cycles()] == list(range(60))
     recover(path, tmp_path / "whole.mcap")
     with RecordReader(tmp_path / "whole.mcap") as reader:
         assert reader.counts["/swing"] == 60

@@ -21,11 +21,11 @@ from acquisition.record import pixels_path
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import (
     ENVIRONMENT,
+    HALF_CYCLE,
     METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
-    SWING,
     number_topics,
 )
 from processing.deflections import DeflectionUnit
@@ -133,10 +133,8 @@ def test_a_stranger_plots_the_decay(mcap_packages: Path, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     with RecordReader(path) as reader:
-        swings = [swing for swing in reader.swings() if not swing.flags]
-        expected = [
-            (reader.utc(swing.turn_time_ns).timestamp(), swing.amplitude / ARCSEC_RAD) for swing in swings
-        ]
+        half_cycles = [h for h in reader.half_cycles() if not h.flags]
+        expected = [(reader.utc(h.turn_time_ns).timestamp(), h.amplitude / ARCSEC_RAD) for h in half_cycles]
     np.testing.assert_allclose(found["decay"], expected, rtol=1e-12)
     assert "arc" in found["comments"]["amplitude_arcsec"]
     assert "standard uncertainty" in found["comments"]["u_amplitude_rad"]
@@ -239,7 +237,7 @@ def panels(place: Any) -> Iterator[str]:
 
 def test_everything_it_names_exists() -> None:
     layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
-    known = {f"{kind.topic}.{name}" for kind in (SPOT, SWING, ENVIRONMENT) for name in kind.names}
+    known = {f"{kind.topic}.{name}" for kind in (SPOT, HALF_CYCLE, ENVIRONMENT) for name in kind.names}
     topics = {*number_topics(DeflectionUnit.RAD), *PIXEL_TOPICS}
     assert "/losses" in topics
     shown = layout["configById"]

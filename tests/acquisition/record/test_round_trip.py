@@ -23,12 +23,12 @@ from acquisition.record.topics import (
     BALANCE_UNCALIBRATED,
     ENVIRONMENT,
     EVENT,
+    HALF_CYCLE,
+    HALF_CYCLE_UNCALIBRATED,
     REFERENCE,
     SEISMOMETER,
     SPOT,
     SPOT_UNCALIBRATED,
-    SWING,
-    SWING_UNCALIBRATED,
     WINDOW,
     ClockAnchor,
     Environment,
@@ -49,7 +49,7 @@ from tests.acquisition.record.samples import (
     write_sample,
 )
 
-OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
+OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, HALF_CYCLE, HALF_CYCLE_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
 ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, SEISMOMETER, REFERENCE]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
@@ -133,7 +133,7 @@ def test_rows_are_those_of_the_messages_one_by_one(tmp_path: Path) -> None:
 def test_messages_of_another_length_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RecordWriter(path, 0) as writer:
-        writer._numbers.add(SPOT.topic, 0, 0, SWING.encode(*[0] * len(SWING.fields)))
+        writer._numbers.add(SPOT.topic, 0, 0, HALF_CYCLE.encode(*[0] * len(HALF_CYCLE.fields)))
     with RecordReader(path) as reader:
         for read in (reader.spots, lambda: reader.table(SPOT.topic, next(reader.unread()))):
             with pytest.raises(RecordError, match="/spot has other fields than this version writes"):
@@ -154,7 +154,7 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
         assert table["sequence"].tolist() == list(range(128))
         assert table["time_ns"].tolist() == [i * FRAME_NS for i in range(128)]
         assert table["host_time_ns"].tolist() == [i * FRAME_NS + 123 for i in range(128)]
-        assert reader.swings() == wrote.swings
+        assert reader.half_cycles() == wrote.half_cycles
         windows = list(reader.windows())
         for window, (sequence, pixels, origin) in zip(windows, wrote.windows, strict=True):
             assert (window.sequence, window.origin_px) == (sequence, origin)
@@ -200,7 +200,7 @@ def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
         deflections = reader.deflections()
         assert deflections.unit is DeflectionUnit.PX
         assert same_bits(deflections.y, wrote.deflections[1])
-        assert reader.swings() == wrote.swings
+        assert reader.half_cycles() == wrote.half_cycles
         assert "amplitude_px" in (reader.table("/swing").dtype.names or ())
 
 
@@ -233,7 +233,7 @@ def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
     with RecordReader(path) as reader:
         assert len(reader.spots()) == 0
         assert reader.spots().dtype == SPOT.table_dtype
-        assert reader.swings() == []
+        assert reader.half_cycles() == []
         assert list(reader.windows()) == []
         assert not reader.truncated
 
@@ -272,10 +272,10 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     writer.close()
     writer.close()
     writer.flush()
-    swing = HalfCycle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
+    half_cycle = HalfCycle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
     for write in (
         lambda: writer.write_event(0, "late", ""),
-        lambda: writer.write_half_cycle(swing),
+        lambda: writer.write_half_cycle(half_cycle),
         lambda: writer.write(Environment(5)),
     ):
         with pytest.raises(RecordError, match="closed"):

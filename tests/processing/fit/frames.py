@@ -24,7 +24,7 @@ def seen_in_frames(
 
 def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, PieceHarmonics]:
     """Turning points of the detector, and the waveform between them."""
-    swings = half_cycles_of_blocks([samples])
-    watch = HarmonicsMeasurement(swings)
+    half_cycles = half_cycles_of_blocks([samples])
+    watch = HarmonicsMeasurement(half_cycles)
     watch.update(samples)
-    return turning_points(swings), watch.harmonics()
+    return turning_points(half_cycles), watch.harmonics()

@@ -100,7 +100,7 @@ def test_a_knock_counts_by_its_gain_beyond_that_of_choosing(
     assert len(fitted(points).changes) == found
 
 
-def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
+def decay_with_knock(centre_arcsec: float, knock: int) -> list[HalfCycle]:
     """Of 60 half-cycles of 30 arcsec, those from `knock` on about another centre."""
     return [
         half_cycle(index, amplitude=30.0 * ARCSEC, centre=centre_arcsec * (index >= knock) * ARCSEC)
@@ -114,43 +114,38 @@ def test_a_knock_that_moves_the_rest_position_ends_the_fit(dated: int) -> None:
 
     Where disturbed half-cycles hid its own, those after it were taken for those before it.
     """
-    found, line = up_to_rest_step(half_cycles(2.0, 20), [dated])
-    assert [swing.flags for swing in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
+    found, line = up_to_rest_step(decay_with_knock(2.0, 20), [dated])
+    assert [h.flags for h in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
     assert "at half-cycle 20 a knock moved the rest position by 6.7 % of the last amplitude" in line
 
 
 def test_a_knock_before_ten_half_cycles_leaves_out_those_before_it() -> None:
     """A decay of 60 half-cycles of which 9 stood before a knock had no fit at all."""
     flag = int(HalfCycleFlag.REST_MOVED)
-    found, line = up_to_rest_step(half_cycles(1.0, 9), [9])
-    assert [swing.flags for swing in found] == 9 * [flag] + 51 * [0]
+    found, line = up_to_rest_step(decay_with_knock(1.0, 9), [9])
+    assert [h.flags for h in found] == 9 * [flag] + 51 * [0]
     assert "before it are left out" in line
     # with ten, no more behind it, or a large step, those before it are the decay
-    for swings, knock in (
-        (half_cycles(1.0, 10), 10),
-        (half_cycles(1.0, 9)[:17], 9),
-        (half_cycles(2.0, 9), 9),
+    for half_cycles, knock in (
+        (decay_with_knock(1.0, 10), 10),
+        (decay_with_knock(1.0, 9)[:17], 9),
+        (decay_with_knock(2.0, 9), 9),
     ):
-        found, line = up_to_rest_step(swings, [knock])
-        assert [swing.flags for swing in found] == knock * [0] + (len(swings) - knock) * [flag]
+        found, line = up_to_rest_step(half_cycles, [knock])
+        assert [h.flags for h in found] == knock * [0] + (len(half_cycles) - knock) * [flag]
         assert "from there on are left out" in line
     # a later knock counts among those that are left
-    again = [
-        replace(swing, centre=swing.centre + 2 * ARCSEC * (swing.index >= 40))
-        for swing in half_cycles(1.0, 9)
-    ]
+    again = [replace(h, centre=h.centre + 2 * ARCSEC * (h.index >= 40)) for h in decay_with_knock(1.0, 9)]
     found, _ = up_to_rest_step(again, [9, 40])
-    assert [swing.flags for swing in found] == 9 * [flag] + 31 * [0] + 20 * [flag]
+    assert [h.flags for h in found] == 9 * [flag] + 31 * [0] + 20 * [flag]
 
 
 def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
-    swings = half_cycles(0.2, 20)
-    assert up_to_rest_step(swings, [20]) == (swings, "")
+    half_cycles = decay_with_knock(0.2, 20)
+    assert up_to_rest_step(half_cycles, [20]) == (half_cycles, "")
     # no knock is dated so late
-    assert up_to_rest_step(half_cycles(2.0, 20), [24])[1] == ""
-    assert up_to_rest_step(half_cycles(2.0, 20), []) == (half_cycles(2.0, 20), "")
+    assert up_to_rest_step(decay_with_knock(2.0, 20), [24])[1] == ""
+    assert up_to_rest_step(decay_with_knock(2.0, 20), []) == (decay_with_knock(2.0, 20), "")
     # a position that wanders by as much as it seems to step
-    wandering = [
-        replace(swing, centre=swing.centre + (swing.index % 3 - 1) * ARCSEC) for swing in half_cycles(0.9, 20)
-    ]
+    wandering = [replace(h, centre=h.centre + (h.index % 3 - 1) * ARCSEC) for h in decay_with_knock(0.9, 20)]
     assert up_to_rest_step(wandering, [20]) == (wandering, "")

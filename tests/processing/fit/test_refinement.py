@@ -75,13 +75,16 @@ def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
     measured_again: list[float] = []
     for seed in range(3):
         record = noisy(glass, seed)
-        swings = detect(record)
+        half_cycles = detect(record)
         pendulum = paper_pair("glass_k8")[1]
-        exact = fit_exact(turning_points(swings), pendulum)
-        motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
-        again = second_measurement(swings, in_blocks(record), motion)
-        assert measurement_shift(swings, again).complete
-        for found, shifts in ((errors(record, swings), detected), (errors(record, again), measured_again)):
+        exact = fit_exact(turning_points(half_cycles), pendulum)
+        motion = known_motion(exact.parameters, pendulum, half_cycles[0].amplitude)
+        again = second_measurement(half_cycles, in_blocks(record), motion)
+        assert measurement_shift(half_cycles, again).complete
+        for found, shifts in (
+            (errors(record, half_cycles), detected),
+            (errors(record, again), measured_again),
+        ):
             early = (found.index > 0) & (found.index <= EARLY)
             # independent errors leave a unit normal deviate
             shifts.append(float(found.time[early].sum() / np.sqrt(early.sum())))
@@ -100,15 +103,15 @@ def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
 
 def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) -> None:
     record = noisy(glass, 3)
-    swings = detect(record)
-    swings[20] = replace(swings[20], flags=2)
+    half_cycles = detect(record)
+    half_cycles[20] = replace(half_cycles[20], flags=2)
     hidden = record.deflection.copy()
-    turn_s = swings[50].turn_time_ns * 1e-9
+    turn_s = half_cycles[50].turn_time_ns * 1e-9
     hidden[np.abs(record.time_s - turn_s) < 0.6] = np.nan
-    motion = known_motion(*paper_pair("glass_k8"), swings[0].amplitude)
-    again = second_measurement(swings, in_blocks(replace(record, deflection=hidden)), motion)
-    assert [swing.index for swing in again] == [swing.index for swing in swings]
-    assert again[20] == swings[20]
+    motion = known_motion(*paper_pair("glass_k8"), half_cycles[0].amplitude)
+    again = second_measurement(half_cycles, in_blocks(replace(record, deflection=hidden)), motion)
+    assert [h.index for h in again] == [h.index for h in half_cycles]
+    assert again[20] == half_cycles[20]
     assert again[50].flags != 0
     assert again[52].flags == 0
     assert np.isnan(again[21].half_period_s) == (again[20].index != again[21].index - 1)
@@ -117,29 +120,29 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
 def test_a_waveform_that_is_not_that_of_the_motion_is_refused(glass: Record) -> None:
     parameters, pendulum = paper_pair("glass_k8")
     record = noisy(glass, 5)
-    swings = detect(record)
+    half_cycles = detect(record)
     # the same loss at 60 arcsec, but constant: the turning times of every half-cycle would shift
     constant = replace(parameters, c=parameters.b * (60 * ARCSEC_RAD) ** parameters.p, b=1e-9)
-    motion = known_motion(constant, pendulum, swings[0].amplitude)
-    again = second_measurement(swings, in_blocks(record), motion)
-    first = fit_exact(turning_points(swings), pendulum)
+    motion = known_motion(constant, pendulum, half_cycles[0].amplitude)
+    again = second_measurement(half_cycles, in_blocks(record), motion)
+    first = fit_exact(turning_points(half_cycles), pendulum)
     second = fit_exact(turning_points(again), pendulum)
     assert not describes_as_well(second, first)
-    shift = measurement_shift(swings, again)
-    wider = with_enlarged_u(swings, shift)
-    assert wider[5].u_turn_time_s == pytest.approx(np.hypot(1.0, shift.time) * swings[5].u_turn_time_s)
-    assert wider[5].turn_time_ns == swings[5].turn_time_ns
+    shift = measurement_shift(half_cycles, again)
+    wider = with_enlarged_u(half_cycles, shift)
+    assert wider[5].u_turn_time_s == pytest.approx(np.hypot(1.0, shift.time) * half_cycles[5].u_turn_time_s)
+    assert wider[5].turn_time_ns == half_cycles[5].turn_time_ns
 
 
 def test_a_second_measurement_that_finds_no_half_cycle_states_no_shift(glass: Record) -> None:
     parameters, pendulum = paper_pair("glass_k8")
-    swings = detect(noisy(glass, 5))
-    motion = known_motion(parameters, pendulum, swings[0].amplitude)
-    lost = [replace(swing, flags=2) for swing in swings]
-    first = fit_exact(turning_points(swings), pendulum)
-    found = judge_refinement(swings, lost, motion, first, DecayFit(pendulum))
+    half_cycles = detect(noisy(glass, 5))
+    motion = known_motion(parameters, pendulum, half_cycles[0].amplitude)
+    lost = [replace(h, flags=2) for h in half_cycles]
+    first = fit_exact(turning_points(half_cycles), pendulum)
+    found = judge_refinement(half_cycles, lost, motion, first, DecayFit(pendulum))
     assert found.doubt == "the turning points stand as detected (none of the half-cycles was found again)"
-    assert found.swings == swings
+    assert found.half_cycles == half_cycles
 
 
 def test_a_pendulum_that_would_not_swing_is_refused() -> None:
@@ -150,15 +153,12 @@ def test_a_pendulum_that_would_not_swing_is_refused() -> None:
 
 def test_a_shift_that_all_turning_points_share_makes_none_more_uncertain(glass: Record) -> None:
     """The start of the motion takes it in: a motion fitted to few half-cycles is late by a millisecond."""
-    swings = detect(noisy(glass, 3))
-    late = [replace(swing, turn_time_ns=swing.turn_time_ns + 1_400_000) for swing in swings]
-    shift = measurement_shift(swings, late)
+    half_cycles = detect(noisy(glass, 3))
+    late = [replace(h, turn_time_ns=h.turn_time_ns + 1_400_000) for h in half_cycles]
+    shift = measurement_shift(half_cycles, late)
     assert (shift.time, shift.amplitude) == (0.0, 0.0)
-    early = [
-        replace(swing, turn_time_ns=swing.turn_time_ns + (1_400_000 if swing.side > 0 else 0))
-        for swing in swings
-    ]
-    assert measurement_shift(swings, early).time > 10.0
+    early = [replace(h, turn_time_ns=h.turn_time_ns + (1_400_000 if h.side > 0 else 0)) for h in half_cycles]
+    assert measurement_shift(half_cycles, early).time > 10.0
 
 
 @pytest.mark.parametrize(("q", "seed"), [(8e-9, 4), (3e-8, 2)])
@@ -179,8 +179,8 @@ def test_a_drive_that_passes_for_a_rest_position_that_moves_loses_no_second_meas
     assert scatter.jitter_s == pytest.approx(1e-3, rel=0.1)
     samples = slow_deflections(times_ns, position, scatter.u_deflection)
     known = Evidence(drag_s=Estimate(1.7e-3, 1e-5))
-    swings = half_cycles_of_blocks([samples])
-    found, fit = fitted_twice(swings, [samples], DecayFit(pendulum, evidence=known))
+    half_cycles = half_cycles_of_blocks([samples])
+    found, fit = fitted_twice(half_cycles, [samples], DecayFit(pendulum, evidence=known))
     assert found.doubt == ""
     assert found.motion is not None
     assert 0.8 < fit.chi2_per_dof < 1.2

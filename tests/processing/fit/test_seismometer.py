@@ -188,9 +188,9 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     noise_rad = 0.02 * ARCSEC_RAD
     path = noisy(true_path(settings, 900.0, frame_rate_hz=50.0), noise_rad, noise_rad, seed)
     u = np.full(len(path.times_ns), noise_rad)
-    swings = half_cycles_of(path.times_ns, path.y_rad, u)
-    points = turning_points(swings)
-    begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
+    half_cycles = half_cycles_of(path.times_ns, path.y_rad, u)
+    points = turning_points(half_cycles)
+    begin_s = next(1e-9 * one.turn_time_ns for one in half_cycles if not one.flags)
     felt = SimulatedSeismometer(settings).until(900.0, 0)
     seen = Seismogram(felt.time_s - begin_s, felt.counts[:, :1], ("along",))
     found = fit_with_seismometer(points, PENDULUM, seen, fit_exact(points, PENDULUM))

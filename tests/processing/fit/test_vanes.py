@@ -31,7 +31,7 @@ def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
     samples = seen_in_frames(path, 0.005 * ARCSEC, [seed, 3], RATE)
     decay = DecayFit(PENDULUM, evidence=Evidence(waveform_of(points_and_harmonics(samples)[1])))
     refined, fit = fitted_twice(half_cycles_of_blocks([samples]), [samples], decay)
-    return VanedRun(decay.points(refined.swings), fit, area_m2)
+    return VanedRun(decay.points(refined.half_cycles), fit, area_m2)
 
 
 @pytest.fixture(scope="module")

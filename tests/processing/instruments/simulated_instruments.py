@@ -89,8 +89,8 @@ def samples(settings: SimulationSettings, final_deg: float, seed: int, noise_rad
 
 def detected(found: Samples) -> TurningPoints:
     """Turning points as the rig takes them from samples of a large swing; times from the first sample."""
-    swings = half_cycles_of(found.times_ns, found.y_rad, found.u_rad)
-    return turning_points(refined_turning_points(found.times_ns, found.y_rad, found.u_rad, swings))
+    half_cycles = half_cycles_of(found.times_ns, found.y_rad, found.u_rad)
+    return turning_points(refined_turning_points(found.times_ns, found.y_rad, found.u_rad, half_cycles))
 
 
 def points_of(

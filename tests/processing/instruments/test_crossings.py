@@ -27,8 +27,8 @@ def seen(found: Samples, limit_deg: float, rest_rad: float = 0.0) -> np.ndarray:
     return np.where(np.abs(place) < limit_deg * DEGREE_RAD, place, np.nan)
 
 
-def points(swings: list[HalfCycle]) -> TurningPoints:
-    return turning_points([replace(swing, flags=0) for swing in swings])
+def points(half_cycles: list[HalfCycle]) -> TurningPoints:
+    return turning_points([replace(h, flags=0) for h in half_cycles])
 
 
 @pytest.mark.parametrize(("kind", "limit_deg"), [("koenig", 2.0), ("persoz", 3.0)])
@@ -37,21 +37,21 @@ def test_amplitudes_off_the_sensor(kind: str, limit_deg: float, rest_rad: float)
     settings = simulation(kind)
     truth = truth_points(settings, 1.1 * limit_deg)
     found = samples(settings, 1.1 * limit_deg, seed=1, noise_rad=1e-5)
-    swings = inferred_half_cycles(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
-    assert len(swings) > 0.9 * len(truth.time_s)
-    assert all(swing.flags == HalfCycleFlag.INFERRED for swing in swings)
-    time_s = np.array([swing.turn_time_ns * 1e-9 for swing in swings])
+    half_cycles = inferred_half_cycles(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
+    assert len(half_cycles) > 0.9 * len(truth.time_s)
+    assert all(h.flags == HalfCycleFlag.INFERRED for h in half_cycles)
+    time_s = np.array([h.turn_time_ns * 1e-9 for h in half_cycles])
     matched = [int(np.argmin(np.abs(truth.time_s - t))) for t in time_s]
-    assert len({m - swing.index for m, swing in zip(matched, swings, strict=True)}) == 1
-    size = np.array([swing.amplitude for swing in swings])
-    pull = (size - np.abs(truth.angle_rad[matched])) / np.array([swing.u_amplitude for swing in swings])
+    assert len({m - h.index for m, h in zip(matched, half_cycles, strict=True)}) == 1
+    size = np.array([h.amplitude for h in half_cycles])
+    pull = (size - np.abs(truth.angle_rad[matched])) / np.array([h.u_amplitude for h in half_cycles])
     # friction, rolling and the polynomial together stay below a third of the noise of one crossing
     assert abs(np.mean(pull)) < 0.4
     assert 0.7 < np.std(pull) < 1.2
-    late = (time_s - truth.time_s[matched]) / np.array([swing.u_turn_time_s for swing in swings])
+    late = (time_s - truth.time_s[matched]) / np.array([h.u_turn_time_s for h in half_cycles])
     # how early the turning point comes depends on the friction: up to one uncertainty, for all alike
     assert np.max(np.abs(late)) < 4
-    assert swings[0].centre == pytest.approx(rest_rad, abs=2e-6)
+    assert half_cycles[0].centre == pytest.approx(rest_rad, abs=2e-6)
 
 
 @pytest.mark.slow
@@ -64,10 +64,14 @@ def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
     for seed in range(2):
         found = samples(settings, 2.7, seed=seed, noise_rad=1e-5)
         place = seen(found, 4.0)
-        swings = half_cycles_of(found.times_ns, place, found.u_rad)
-        here = refined_turning_points(found.times_ns, place, found.u_rad, swings) if len(swings) > 1 else []
+        half_cycles = half_cycles_of(found.times_ns, place, found.u_rad)
+        here = (
+            refined_turning_points(found.times_ns, place, found.u_rad, half_cycles)
+            if len(half_cycles) > 1
+            else []
+        )
         joined = joined_half_cycles(here, inferred_half_cycles(found.times_ns, place, found.u_rad))
-        assert {bool(swing.flags) for swing in joined} == {True, False}
+        assert {bool(h.flags) for h in joined} == {True, False}
         time_s = damping(points(joined), 6 * DEGREE_RAD, 3 * DEGREE_RAD).time_s
         pulls.append((time_s.value - expected_s) / time_s.standard_uncertainty)
     assert abs(np.mean(pulls)) < 4 / math.sqrt(len(pulls))
@@ -88,10 +92,10 @@ def test_half_periods_without_any_sample_are_counted() -> None:
     paused_s = truth.time_s[[10, 15]]
     time_s = found.times_ns * 1e-9
     place = np.where((time_s > paused_s[0]) & (time_s < paused_s[1]), np.nan, seen(found, 2.0))
-    swings = inferred_half_cycles(found.times_ns, place, found.u_rad)
-    nearest = [int(np.argmin(np.abs(truth.time_s - swing.turn_time_ns * 1e-9))) for swing in swings]
+    half_cycles = inferred_half_cycles(found.times_ns, place, found.u_rad)
+    nearest = [int(np.argmin(np.abs(truth.time_s - h.turn_time_ns * 1e-9))) for h in half_cycles]
     assert max(np.diff(nearest)) > 5
-    np.testing.assert_array_equal(np.diff([swing.index for swing in swings]), np.diff(nearest))
+    np.testing.assert_array_equal(np.diff([h.index for h in half_cycles]), np.diff(nearest))
 
 
 def test_one_inferred_half_cycle_replaces_its_own_and_leaves_gaps() -> None:

@@ -74,7 +74,7 @@ def test_contact_angle_of_the_two_ball_pendulum(flat: str, arcmin: float) -> Non
 def test_damping_of_an_exponential_decay(start_deg: float, rate: float) -> None:
     """ln 2 / rate half-cycles from 6 to 3 degrees, wherever the turning points lie."""
     found = damping(exponential(start_deg, rate, math.ceil(2 / rate)), 6 * DEGREE_RAD, 3 * DEGREE_RAD)
-    assert found.swings.value == pytest.approx(0.5 * math.log(2) / rate, rel=1e-9)
+    assert found.half_cycles.value == pytest.approx(0.5 * math.log(2) / rate, rel=1e-9)
     assert found.time_s.value == pytest.approx(0.7 * math.log(2) / rate, rel=1e-9)
     assert found.period_s.value == pytest.approx(1.4, rel=1e-12)
 
@@ -99,7 +99,7 @@ def test_a_missing_half_cycle_at_the_level_is_said_and_a_start_just_below_it_car
     for decayed, missing in ((without(points, np.array([gone])), 1), (exponential(5.95, 0.01, 100), 0)):
         found = damping(decayed, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
         assert found.missing == missing
-        assert found.swings.value == pytest.approx(50 * math.log(2), rel=1e-9)
+        assert found.half_cycles.value == pytest.approx(50 * math.log(2), rel=1e-9)
 
 
 def test_places_and_ratio() -> None:
@@ -270,13 +270,13 @@ def test_swings_without_samples_about_them_are_flagged() -> None:
     times_ns = np.arange(3000) * 10_000_000
     deflection = 0.1 * np.exp(-1e-4 * np.arange(3000)) * np.cos(2 * math.pi * times_ns * 1e-9 / 1.4)
     u = np.full(3000, 1e-5)
-    swings = half_cycles_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
-    lost = np.where(np.abs(times_ns - swings[10].turn_time_ns) < 3e8, np.nan, deflection)
-    found = refined_turning_points(times_ns, lost, u, swings)
+    half_cycles = half_cycles_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
+    lost = np.where(np.abs(times_ns - half_cycles[10].turn_time_ns) < 3e8, np.nan, deflection)
+    found = refined_turning_points(times_ns, lost, u, half_cycles)
     assert found[10].flags
     assert not found[12].flags
     with pytest.raises(DataError, match="at least 2"):
-        refined_turning_points(times_ns, deflection, u, swings[:1])
+        refined_turning_points(times_ns, deflection, u, half_cycles[:1])
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ RATE = 50.0
 
 
 class Run(NamedTuple):
-    swings: list[HalfCycle]
+    half_cycles: list[HalfCycle]
     deflections: Deflections
     parameters: ContactParameters
     pendulum: PendulumOnBall
@@ -67,9 +67,9 @@ def run(
 
 def searched(one: Run) -> PositionMap | None:
     """The map that a run gives."""
-    fit = fit_exact(turning_points(one.swings), one.pendulum)
-    motion = known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude)
-    watch = CycleExtractor(one.swings, motion)
+    fit = fit_exact(turning_points(one.half_cycles), one.pendulum)
+    motion = known_motion(fit.parameters, one.pendulum, one.half_cycles[0].amplitude)
+    watch = CycleExtractor(one.half_cycles, motion)
     y = one.deflections.y
     search = PositionMapSearch(float(y.min()), float(y.max()), watch.pending_cycles)
     for start in range(0, len(one.deflections), 1000):

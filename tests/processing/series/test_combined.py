@@ -150,8 +150,8 @@ def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
         assert abs(combined.value - getattr(parameters, name)) < 4 * combined.standard_uncertainty
         assert len(combined.runs) == 3
     table = budgets(series.combined, rig())
-    swings = next(line for line in table["c"].sources if line.type == "A")
-    assert swings.u_source == pytest.approx(series.parameters["c"].standard_uncertainty)
+    half_cycles = next(line for line in table["c"].sources if line.type == "A")
+    assert half_cycles.u_source == pytest.approx(series.parameters["c"].standard_uncertainty)
 
 
 def test_the_run_that_disagrees_is_named_and_of_two_both() -> None:

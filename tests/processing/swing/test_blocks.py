@@ -51,13 +51,13 @@ def test_any_blocks(cuts: list[int]) -> None:
     record = troubled_record()
     edges = [0, *sorted(cut for cut in cuts if cut < len(record.times_ns)), len(record.times_ns)]
     detector = TurningPointDetector()
-    swings: list[HalfCycle] = []
+    half_cycles: list[HalfCycle] = []
     for i, j in pairwise(edges):
-        swings += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
+        half_cycles += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
     # the record is troublesome
     assert len({s.flags for s in whole()}) >= 3
     assert len(whole()) > 25
-    assert same(swings + detector.finish(), whole())
+    assert same(half_cycles + detector.finish(), whole())
 
 
 def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:
@@ -65,12 +65,12 @@ def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:
     detector = TurningPointDetector()
     waits = []
     for i in range(len(record.times_ns)):
-        for swing in detector.update(
+        for half_cycle in detector.update(
             record.times_ns[i : i + 1], record.deflection[i : i + 1], record.u_deflection[i : i + 1]
         ):
             # the half-cycle ends a quarter period (1 s) after its turning point
-            end_ns = swing.turn_time_ns + 1_000_000_000
-            waits.append((swing.index, (record.times_ns[i] - end_ns) * 1e-9))
+            end_ns = half_cycle.turn_time_ns + 1_000_000_000
+            waits.append((half_cycle.index, (record.times_ns[i] - end_ns) * 1e-9))
     later = [wait for index, wait in waits if index > 4]
     assert max(later) < 0.05
     # the first ones come together, when the fourth whole one is complete

@@ -71,11 +71,11 @@ def test_uncertainties_on_a_driven_pendulum_are_those_of_measurement(q: float) -
     """A half-cycle's own samples give 1.0 mas; a drive within it adds a third of what it adds between two."""
     step_arcsec = q * math.sqrt(4.071 / 2) / (4 * math.pi / 4.071) / ARCSEC_RAD
     record = driven("glass_k8", q, 1)
-    swings = detect(record)
-    e = errors(record, swings)
+    half_cycles = detect(record)
+    e = errors(record, half_cycles)
     assert len(e) >= len(record.turn_time_s) - 3
     assert agrees(e, 1.3)
-    u = float(np.median([swing.u_amplitude for swing in swings]))
+    u = float(np.median([h.u_amplitude for h in half_cycles]))
     assert u < 1.3 * math.hypot(0.001, 0.4 * step_arcsec)
 
 
@@ -90,9 +90,9 @@ def test_a_knock_on_a_driven_pendulum_is_flagged() -> None:
     for place in (150, 350):
         push += 3.0 * np.sin(2 * np.pi / 4.07 * np.maximum(record.time_s - turns[place] - 0.9, 0.0))
     for disturbance, places in ((burst, (100, 250, 400)), (push, (150, 350))):
-        swings = detect(record.plus(disturbance))
+        half_cycles = detect(record.plus(disturbance))
         for place in places:
-            hit = [s for s in swings if abs(s.turn_time_ns * 1e-9 - turns[place]) < 3.1]
+            hit = [s for s in half_cycles if abs(s.turn_time_ns * 1e-9 - turns[place]) < 3.1]
             assert any(s.flags & HalfCycleFlag.VIBRATION for s in hit)
 
 
@@ -101,8 +101,8 @@ def test_a_knock_on_a_driven_pendulum_is_flagged() -> None:
 def test_air_counts_in_the_uncertainties(contact: str, q: float) -> None:
     record = driven(contact, q, 1, 60.0, 0.0027)
     windy = record.plus(air(len(record.times_ns), 60.0, np.random.default_rng(5)))
-    swings = detect(windy)
-    e = errors(windy, swings)
+    half_cycles = detect(windy)
+    e = errors(windy, half_cycles)
     assert len(e) > 0.98 * len(record.turn_time_s)
     assert agrees(e, 1.4)
 
@@ -122,6 +122,6 @@ def test_a_rest_position_that_air_moves_takes_no_more_than_it_explains() -> None
 def test_without_drive_nothing_is_learned() -> None:
     """White noise as stated: uncertainties at the bound of a half-cycle's own samples."""
     record = driven("silicon", 0.0, 1)
-    swings = [s for s in detect(record) if not s.flags]
-    u = np.array([swing.u_amplitude for swing in swings[50:]])
+    half_cycles = [s for s in detect(record) if not s.flags]
+    u = np.array([h.u_amplitude for h in half_cycles[50:]])
     assert u.max() < 1.1 * 0.005 * math.sqrt(2 / (25.0 * 4.072 / 2))

@@ -83,10 +83,10 @@ def test_stated_uncertainties_are_those_of_the_scatter(path: np.ndarray) -> None
 
 def test_a_piece_with_a_disturbed_half_cycle_is_left_out(path: np.ndarray) -> None:
     samples = samples_of(path)
-    swings = half_cycles_of_blocks([samples])
-    clean = HarmonicsMeasurement(swings)
+    half_cycles = half_cycles_of_blocks([samples])
+    clean = HarmonicsMeasurement(half_cycles)
     clean.update(samples)
-    flagged = [replace(one, flags=2) if one.index == swings[6].index else one for one in swings]
+    flagged = [replace(one, flags=2) if one.index == half_cycles[6].index else one for one in half_cycles]
     fewer = HarmonicsMeasurement(flagged)
     fewer.update(samples)
     assert len(fewer.harmonics()) < len(clean.harmonics())

@@ -17,8 +17,8 @@ def test_seismometer(shared_data: Path, name: str, period_s: float, at_least: in
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
     noise = estimate_noise(times_ns, table[:, 1])
     assert 0.001 < noise < 0.01
-    swings = half_cycles_of(times_ns, table[:, 1], np.full(len(table), noise))
-    good = turning_points(swings)
+    half_cycles = half_cycles_of(times_ns, table[:, 1], np.full(len(table), noise))
+    good = turning_points(half_cycles)
     assert len(good) >= at_least
     assert np.all(np.diff(good.amplitude) < 3.0 * np.hypot(*good.u_amplitude[[0, 1]]))
     half_periods = np.diff(good.time_s) / np.diff(good.index)
@@ -27,10 +27,10 @@ def test_seismometer(shared_data: Path, name: str, period_s: float, at_least: in
     assert np.all(good.u_time_s < 0.1 * period_s)
     # a turning point read from the samples directly: the largest of the median of five about it
     for k in range(len(good)):
-        swing = next(s for s in swings if s.index == good.index[k])
-        near = np.abs(times_ns - swing.turn_time_ns) < 0.5e9
-        assert swing.centre + swing.side * swing.amplitude == pytest.approx(
-            float(np.median(table[near, 1])), abs=4.0 * max(noise, swing.u_amplitude)
+        half_cycle = next(s for s in half_cycles if s.index == good.index[k])
+        near = np.abs(times_ns - half_cycle.turn_time_ns) < 0.5e9
+        assert half_cycle.centre + half_cycle.side * half_cycle.amplitude == pytest.approx(
+            float(np.median(table[near, 1])), abs=4.0 * max(noise, half_cycle.u_amplitude)
         )
 
 
@@ -40,5 +40,7 @@ def test_torsion_balance_gives_no_wrong_swing(shared_data: Path, column: int) ->
     with gzip.open(shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz") as lines:
         table = np.genfromtxt(lines, delimiter=",", skip_header=1, usecols=(1, column))
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
-    swings = half_cycles_of(times_ns, table[:, 1], np.full(len(table), estimate_noise(times_ns, table[:, 1])))
-    assert len([s for s in swings if not s.flags]) <= 2
+    half_cycles = half_cycles_of(
+        times_ns, table[:, 1], np.full(len(table), estimate_noise(times_ns, table[:, 1]))
+    )
+    assert len([s for s in half_cycles if not s.flags]) <= 2

@@ -15,30 +15,30 @@ def decay(seed: int = 1) -> Record:
     return damped_sinusoid(np.random.default_rng(seed), 300.0, 60.0, 60)
 
 
-def assert_none_wrong(record: Record, swings: list[HalfCycle], fewest: int, limit: float = 5.0) -> None:
-    e = errors(record, swings)
+def assert_none_wrong(record: Record, half_cycles: list[HalfCycle], fewest: int, limit: float = 5.0) -> None:
+    e = errors(record, half_cycles)
     assert len(e) >= fewest
     assert np.abs(e.amplitude).max() < limit
     assert np.abs(e.time).max() < limit
-    assert [s.index for s in swings] == sorted({s.index for s in swings})
+    assert [s.index for s in half_cycles] == sorted({s.index for s in half_cycles})
 
 
-def indices_match(record: Record, swings: list[HalfCycle]) -> bool:
+def indices_match(record: Record, half_cycles: list[HalfCycle]) -> bool:
     """Whether differences of indices are numbers of half periods."""
-    nearest = [int(np.argmin(np.abs(record.turn_time_s - s.turn_time_ns * 1e-9))) for s in swings]
-    return len({s.index - k for s, k in zip(swings, nearest, strict=True)}) == 1
+    nearest = [int(np.argmin(np.abs(record.turn_time_s - s.turn_time_ns * 1e-9))) for s in half_cycles]
+    return len({s.index - k for s, k in zip(half_cycles, nearest, strict=True)}) == 1
 
 
 def test_swing_says_what_happened() -> None:
     record = decay()
-    swings = [s for s in detect(record) if not s.flags]
-    for swing in swings:
-        k = int(np.argmin(np.abs(record.turn_time_s - swing.turn_time_ns * 1e-9)))
-        assert swing.side == (-1) ** k
-        assert swing.centre == pytest.approx(12.3, abs=0.05)
-    half_periods = np.array([s.half_period_s for s in swings[1:]])
+    half_cycles = [s for s in detect(record) if not s.flags]
+    for half_cycle in half_cycles:
+        k = int(np.argmin(np.abs(record.turn_time_s - half_cycle.turn_time_ns * 1e-9)))
+        assert half_cycle.side == (-1) ** k
+        assert half_cycle.centre == pytest.approx(12.3, abs=0.05)
+    half_periods = np.array([s.half_period_s for s in half_cycles[1:]])
     assert half_periods == pytest.approx(2.0, abs=5e-4)
-    assert np.mean([s.u_half_period_s for s in swings[1:]]) == pytest.approx(
+    assert np.mean([s.u_half_period_s for s in half_cycles[1:]]) == pytest.approx(
         half_periods.std(), rel=4 / math.sqrt(2 * len(half_periods))
     )
 
@@ -51,12 +51,12 @@ def test_gap(start_s: float, length_s: float, lost: bool) -> None:
     record = decay()
     gap = (record.time_s > start_s) & (record.time_s < start_s + length_s)
     gapped = record.plus(np.where(gap, np.nan, 0.0)) if lost else record.keep(~gap)
-    swings = detect(gapped)
-    assert_none_wrong(gapped, swings, fewest=60 - math.ceil(length_s / 2.0) - 4)
-    assert indices_match(record, swings)
-    inside = [s for s in swings if start_s < s.turn_time_ns * 1e-9 < start_s + length_s]
+    half_cycles = detect(gapped)
+    assert_none_wrong(gapped, half_cycles, fewest=60 - math.ceil(length_s / 2.0) - 4)
+    assert indices_match(record, half_cycles)
+    inside = [s for s in half_cycles if start_s < s.turn_time_ns * 1e-9 < start_s + length_s]
     assert all(s.flags & HalfCycleFlag.GAP for s in inside)
-    for before, after in pairwise(swings):
+    for before, after in pairwise(half_cycles):
         # the half period is unknown after a half-cycle that is missing
         is_missing = after.index > before.index + 1
         assert math.isnan(after.half_period_s) == math.isnan(after.u_half_period_s) == is_missing
@@ -78,10 +78,12 @@ def test_burst_of_vibration(size_px: float, length_s: float, frequency_hz: float
         0.0,
     )
     disturbed = record.plus(burst)
-    swings = detect(disturbed)
-    assert_none_wrong(disturbed, swings, fewest=60 - math.ceil(length_s / 2.0) - 5)
-    assert indices_match(record, swings)
-    hit = [s for s in swings if s.turn_time_ns * 1e-9 + 1.0 > 60.3 and s.turn_time_ns * 1e-9 - 1.0 < 60.8]
+    half_cycles = detect(disturbed)
+    assert_none_wrong(disturbed, half_cycles, fewest=60 - math.ceil(length_s / 2.0) - 5)
+    assert indices_match(record, half_cycles)
+    hit = [
+        s for s in half_cycles if s.turn_time_ns * 1e-9 + 1.0 > 60.3 and s.turn_time_ns * 1e-9 - 1.0 < 60.8
+    ]
     assert any(s.flags & (HalfCycleFlag.VIBRATION | HalfCycleFlag.START) for s in hit)
 
 
@@ -91,18 +93,18 @@ def test_wild_samples_cost_nothing() -> None:
     wild = np.zeros(len(record.times_ns))
     wild[rng.integers(0, len(wild), 60)] = rng.normal(0.0, 200.0, 60)
     spoiled = record.plus(wild)
-    swings = detect(spoiled)
-    assert_none_wrong(spoiled, swings, fewest=55)
-    e = errors(spoiled, swings)
+    half_cycles = detect(spoiled)
+    assert_none_wrong(spoiled, half_cycles, fewest=55)
+    e = errors(spoiled, half_cycles)
     assert rms(e.amplitude) < 1.1 + 4 / math.sqrt(2 * len(e))
 
 
 def test_release_from_a_hold_in_the_middle_of_a_record() -> None:
     record = contact_decay("glass_k8", 40, noise=0.02, rng=np.random.default_rng(5), start_s=20.0, hold=True)
-    swings = detect(record)
-    first = [s for s in swings if s.turn_time_ns * 1e-9 < 20.5]
+    half_cycles = detect(record)
+    first = [s for s in half_cycles if s.turn_time_ns * 1e-9 < 20.5]
     assert all(s.flags & HalfCycleFlag.START for s in first)
-    assert_none_wrong(record, swings, fewest=37)
+    assert_none_wrong(record, half_cycles, fewest=37)
 
 
 RATE_RAD_PER_S, DAMPING_PER_S = 1.55, 0.004
@@ -128,9 +130,9 @@ def test_kick_out_of_rest() -> None:
     deflection = 5.0 + np.where(t < start, 0.0, decay_from(t - start, -0.5 * math.pi))
     amplitudes = 200.0 * np.exp(-DAMPING_PER_S * turns) * math.cos(LAG)
     record = noisy(t, deflection, start + turns, amplitudes, 6)
-    swings = detect(record)
-    assert all(s.flags for s in swings if s.turn_time_ns * 1e-9 < start)
-    assert_none_wrong(record, [s for s in swings if s.turn_time_ns * 1e-9 > start], fewest=47)
+    half_cycles = detect(record)
+    assert all(s.flags for s in half_cycles if s.turn_time_ns * 1e-9 < start)
+    assert_none_wrong(record, [s for s in half_cycles if s.turn_time_ns * 1e-9 > start], fewest=47)
 
 
 @pytest.mark.parametrize(("phase", "rest_s"), [(0.0, 3.0), (0.5, 2.6), (1.5, 2.1), (6.0, 3.3)])
@@ -141,9 +143,9 @@ def test_a_faint_swing_before_a_push_is_not_the_first_half_cycle(phase: float, r
     pushed = 124.0 * np.exp(-0.005 * since_s) * np.sin(0.5 * math.pi * since_s)
     noise = 0.0026 * np.random.default_rng(1).standard_normal(len(time_s))
     y = np.where(since_s < 0, 0.0, pushed) + 0.03 * np.cos(0.5 * math.pi * time_s + phase) + noise
-    swings = half_cycles_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
-    assert min(swing.amplitude for swing in swings if not swing.flags) > 90
-    assert swings[0].flags & HalfCycleFlag.START
+    half_cycles = half_cycles_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
+    assert min(h.amplitude for h in half_cycles if not h.flags) > 90
+    assert half_cycles[0].flags & HalfCycleFlag.START
 
 
 @pytest.mark.parametrize(("factor", "phase"), [(2.0, 0.3), (0.5, 2.0), (0.4, 0.1), (1.0, 0.02)])
@@ -156,11 +158,13 @@ def test_kick_in_the_middle(factor: float, phase: float) -> None:
     deflection = np.where(t < kick, decay_from(t), factor * decay_from(t, phase))
     amplitudes = 200.0 * math.cos(LAG) * np.exp(-DAMPING_PER_S * turns) * size
     record = noisy(t, deflection, turns, amplitudes, 7)
-    swings = detect(record)
-    disturbed = [abs(s.turn_time_ns * 1e-9 - kick) < 0.5 * math.pi / RATE_RAD_PER_S for s in swings]
-    assert all(s.flags for s, near in zip(swings, disturbed, strict=True) if near)
-    assert_none_wrong(record, [s for s, near in zip(swings, disturbed, strict=True) if not near], fewest=88)
-    assert any(s.flags & (HalfCycleFlag.START | HalfCycleFlag.VIBRATION) for s in swings if s.index > 3)
+    half_cycles = detect(record)
+    disturbed = [abs(s.turn_time_ns * 1e-9 - kick) < 0.5 * math.pi / RATE_RAD_PER_S for s in half_cycles]
+    assert all(s.flags for s, near in zip(half_cycles, disturbed, strict=True) if near)
+    assert_none_wrong(
+        record, [s for s, near in zip(half_cycles, disturbed, strict=True) if not near], fewest=88
+    )
+    assert any(s.flags & (HalfCycleFlag.START | HalfCycleFlag.VIBRATION) for s in half_cycles if s.index > 3)
 
 
 @pytest.mark.parametrize(
@@ -188,8 +192,8 @@ def test_noise_that_was_told_too_small_is_noticed() -> None:
 
 def test_faint_swings_are_flagged() -> None:
     record = damped_sinusoid(np.random.default_rng(10), 1.0, 0.004, 160, noise=0.02)
-    swings = detect(record)
-    faint = [s for s in swings if s.amplitude < 4.0 * s.u_amplitude]
+    half_cycles = detect(record)
+    faint = [s for s in half_cycles if s.amplitude < 4.0 * s.u_amplitude]
     assert len(faint) > 3
     assert all(s.flags & HalfCycleFlag.LOW_AMPLITUDE for s in faint)
 

@@ -130,11 +130,11 @@ def half_cycle(index: int, **changed: float) -> HalfCycle:
 def detect(record: Record, block: int = 10_000, known: KnownMotion | None = None) -> list[HalfCycle]:
     """All swings of a record."""
     detector = TurningPointDetector(known)
-    swings: list[HalfCycle] = []
+    half_cycles: list[HalfCycle] = []
     for i in range(0, len(record.times_ns), block):
         j = i + block
-        swings += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
-    return swings + detector.finish()
+        half_cycles += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
+    return half_cycles + detector.finish()
 
 
 @dataclass(frozen=True)
@@ -151,29 +151,29 @@ class Errors:
         return len(self.index)
 
 
-def errors(record: Record, swings: list[HalfCycle]) -> Errors:
+def errors(record: Record, half_cycles: list[HalfCycle]) -> Errors:
     """Errors of the unflagged swings.
 
     The Cramer-Rao bound is that of one half-cycle's own samples with all else known: for noise s and
     n samples u(A) = s sqrt(2/n), u(t) = u(A) / (A w).
     """
     rows = []
-    for swing in swings:
-        if swing.flags:
+    for half_cycle in half_cycles:
+        if half_cycle.flags:
             continue
-        k = int(np.argmin(np.abs(record.turn_time_s - swing.turn_time_ns * 1e-9)))
+        k = int(np.argmin(np.abs(record.turn_time_s - half_cycle.turn_time_ns * 1e-9)))
         neighbour = k + 1 if k + 1 < len(record.turn_time_s) else k - 1
         half_period = abs(record.turn_time_s[neighbour] - record.turn_time_s[k])
         inside = np.abs(record.time_s - record.turn_time_s[k]) < half_period / 2.0
         inside &= np.isfinite(record.deflection)
         crlb = float(record.u_deflection[inside].mean()) * math.sqrt(2.0 / max(int(inside.sum()), 1))
-        amplitude_error = swing.amplitude - record.turn_amplitude[k]
-        time_error = swing.turn_time_ns * 1e-9 - record.turn_time_s[k]
+        amplitude_error = half_cycle.amplitude - record.turn_amplitude[k]
+        time_error = half_cycle.turn_time_ns * 1e-9 - record.turn_time_s[k]
         rows.append(
             (
                 k,
-                amplitude_error / swing.u_amplitude,
-                time_error / swing.u_turn_time_s,
+                amplitude_error / half_cycle.u_amplitude,
+                time_error / half_cycle.u_turn_time_s,
                 amplitude_error / crlb,
                 time_error / (crlb * half_period / (math.pi * record.turn_amplitude[k])),
             )

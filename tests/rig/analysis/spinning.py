@@ -104,8 +104,8 @@ def passed(seen: Deflections) -> tuple[list[HalfCycle], PassingDeflections]:
 def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRun:
     """The results of a record with these deflections; `file` stands for the record."""
     file.touch()
-    swings, passing = passed(seen)
-    followed = follow_plane(swings, passing, config.axes)
+    half_cycles, passing = passed(seen)
+    followed = follow_plane(half_cycles, passing, config.axes)
     return analyse_swings(file, followed, config, AmbientConditions())
 
 

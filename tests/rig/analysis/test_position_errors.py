@@ -46,7 +46,7 @@ def refined_over_fringes() -> tuple[Run, PassingDeflections, Refinement]:
     return (
         one,
         passing,
-        refined_half_cycles(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings()),
+        refined_half_cycles(one.half_cycles, passing, DeflectionUnit.RAD, one.pendulum, FitSettings()),
     )
 
 
@@ -56,7 +56,7 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     assert refined.position_map is not None
     assert refined.exact is not None
     assert FIXED_PATTERN in refined.exact.terms
-    before = fit_exact(turning_points(one.swings), one.pendulum)
+    before = fit_exact(turning_points(one.half_cycles), one.pendulum)
     assert refined.exact.estimate("n").standard_uncertainty < 0.5 * before.estimate("n").standard_uncertainty
     for name in refined.exact.contact_names:
         value, u = refined.exact.estimate(name)
@@ -81,16 +81,18 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_without_structure_nothing_changes_bit_for_bit() -> None:
     one = run(nothing, seed=1)
-    refined = refined_half_cycles(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
-    waveform = HarmonicsMeasurement(one.swings)
+    refined = refined_half_cycles(
+        one.half_cycles, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings()
+    )
+    waveform = HarmonicsMeasurement(one.half_cycles)
     for block in in_blocks(one):
         waveform.update(block)
     evidence = evidence_of(FREE_DRAG, waveform.harmonics())
-    first = fit_exact(turning_points(one.swings), one.pendulum, drag=True, evidence=evidence)
-    motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
-    again = second_measurement(one.swings, [one.deflections], motion)
+    first = fit_exact(turning_points(one.half_cycles), one.pendulum, drag=True, evidence=evidence)
+    motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.half_cycles).amplitude[0]))
+    again = second_measurement(one.half_cycles, [one.deflections], motion)
     assert refined.position_map is None
-    assert repr(list(refined.swings)) == repr(again)
+    assert repr(list(refined.half_cycles)) == repr(again)
     second = fit_exact(turning_points(again), one.pendulum, drag=True, evidence=evidence, near=first)
     assert refined.exact is not None
     assert np.array_equal(refined.exact.values, second.values)
@@ -103,7 +105,7 @@ def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
     one, _, refined = refined_over_fringes()
     assert refined.position_map is not None
     assert refined.harmonics is not None
-    straight, raw = HarmonicsMeasurement(refined.swings), HarmonicsMeasurement(one.swings)
+    straight, raw = HarmonicsMeasurement(refined.half_cycles), HarmonicsMeasurement(one.half_cycles)
     for block in in_blocks(one):
         straight.update(refined.position_map.corrected(block))
         raw.update(block)
@@ -124,8 +126,8 @@ def test_few_noisy_samples_are_measured_again() -> None:
     times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
     seen = path + noise * np.random.default_rng([0, 9]).standard_normal(len(path))
     blocks = [slow_deflections(times_ns, seen, noise)]
-    swings = half_cycles_of_blocks(blocks)
-    refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    half_cycles = half_cycles_of_blocks(blocks)
+    refined = refined_half_cycles(half_cycles, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     assert refined.motion is not None
     assert not refined.doubt
     assert refined.exact is not None
@@ -151,11 +153,11 @@ def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
         forcing=lambda time_s: np.where(time_s < at_s, 0.0, rate_rad_per_s**2 * moved),
     )
     blocks = [seen_in_frames(path, 0.005 * ARCSEC_RAD, 1)]
-    swings = half_cycles_of_blocks(blocks)
-    refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    half_cycles = half_cycles_of_blocks(blocks)
+    refined = refined_half_cycles(half_cycles, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     assert "moved the rest position" in refined.doubt
     assert refined.harmonics is not None
-    fitted = turning_points(refined.swings)
+    fitted = turning_points(refined.half_cycles)
     assert refined.harmonics.amplitude.min() >= fitted.amplitude.min()
     assert not row_delay(refined.harmonics, parameters.period0_s).seen
 

@@ -22,12 +22,12 @@ def test_a_record_alone_gives_the_results_of_its_session(
 def test_results_say_what_the_record_holds(analysed_series: Sequence[AnalysedRun]) -> None:
     run = analysed_series[0]
     with RecordReader(run.path) as reader:
-        spots, swings = reader.spots(), reader.swings()
+        spots, half_cycles = reader.spots(), reader.half_cycles()
     assert run.frames == len(spots)
     assert run.dropped_frames == spots["sequence"][-1] + 1 - len(spots)
     assert run.simulated
     assert run.ended is not None
-    good = [swing for swing in swings if not swing.flags]
+    good = [h for h in half_cycles if not h.flags]
     assert 0 < run.half_cycles <= len(good)
     assert run.amplitude_unit == "arcsec"
     assert run.amplitudes[0] == pytest.approx(124, abs=4)
@@ -36,7 +36,7 @@ def test_results_say_what_the_record_holds(analysed_series: Sequence[AnalysedRun
     assert not run.problem
     assert {verdict.name for verdict in run.conditions} >= {"lost spots", "dropped frames"}
     assert run.rig is not None
-    assert run.rig.rest_rad == pytest.approx(float(np.median([swing.centre for swing in good])), abs=1e-7)
+    assert run.rig.rest_rad == pytest.approx(float(np.median([h.centre for h in good])), abs=1e-7)
 
 
 @pytest.mark.slow

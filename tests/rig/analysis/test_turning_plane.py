@@ -222,19 +222,21 @@ def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditio
 def test_the_balances_of_a_run_give_its_plane() -> None:
     # as in a run: all samples, along its axes, block by block
     seen = positions(Spin(FAST), seed=3, duration_s=200.0)
-    swings, passing = passed(seen)
+    half_cycles, passing = passed(seen)
     estimator = BalanceEstimator()
     recorded = [balance for block in passing for balance in estimator.update(block)]
-    taken = balances_for_plane(recorded, swings, Axes())
-    assert taken == [b for b in recorded if swings[0].turn_time_ns <= b.time_ns <= swings[-1].turn_time_ns]
-    by_recorded = follow_plane(swings, passing, Axes(), balances=taken)
-    by_deflections = follow_plane(swings, passing, Axes())
+    taken = balances_for_plane(recorded, half_cycles, Axes())
+    assert taken == [
+        b for b in recorded if half_cycles[0].turn_time_ns <= b.time_ns <= half_cycles[-1].turn_time_ns
+    ]
+    by_recorded = follow_plane(half_cycles, passing, Axes(), balances=taken)
+    by_deflections = follow_plane(half_cycles, passing, Axes())
     assert by_recorded.is_turned
     assert by_recorded.plane is not None
     assert by_deflections.plane is not None
     difference = by_recorded.plane.mean_rate() - by_deflections.plane.mean_rate()
     assert abs(difference) < 3.0 * by_deflections.plane.u_mean_rate()
     # an estimate that failed in the middle of the run, and axes along which no line has its true angle
-    assert balances_for_plane(recorded[: len(recorded) // 2], swings, Axes()) is None
-    assert balances_for_plane([], swings, Axes()) is None
-    assert balances_for_plane(recorded, swings, Axes(non_orthogonality_rad=0.01)) is None
+    assert balances_for_plane(recorded[: len(recorded) // 2], half_cycles, Axes()) is None
+    assert balances_for_plane([], half_cycles, Axes()) is None
+    assert balances_for_plane(recorded, half_cycles, Axes(non_orthogonality_rad=0.01)) is None

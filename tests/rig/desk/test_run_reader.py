@@ -75,8 +75,8 @@ def test_the_fit_is_told_at_the_times_of_the_record(reader: RecordFollower) -> N
     start_ns = nanoseconds(50.0)
     with writer(reader.record) as record:
         spots(record, 0.0)
-        swing = HalfCycle(0, start_ns + nanoseconds(1.0), 1e-4, 3.0, 0.1, 2.0, 1e-4, 0.0, 1, 0)
-        record.write_half_cycle(swing)
+        half_cycle = HalfCycle(0, start_ns + nanoseconds(1.0), 1e-4, 3.0, 0.1, 2.0, 1e-4, 0.0, 1, 0)
+        record.write_half_cycle(half_cycle)
         for at_s in (10.0, 12.0):
             time_ns = start_ns + nanoseconds(at_s)
             amplitude_rad = at_s * ARCSEC_RAD

@@ -34,9 +34,9 @@ def swinging(duration_s: float) -> list[Deflections]:
 def test_the_same_swings_and_balances_as_in_line() -> None:
     blocks = swinging(40.0)
     detector = TurningPointDetector()
-    swings = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
-    swings += detector.finish()
-    assert len(swings) > 15
+    half_cycles = [h for block in blocks for h in detector.update(block.times_ns, block.y, block.u_y)]
+    half_cycles += detector.finish()
+    assert len(half_cycles) > 15
     estimator = BalanceEstimator()
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
@@ -45,7 +45,7 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     last_swings, last_balances = pipeline.finish()
     threaded = [balance for _, balances in found for balance in balances] + last_balances
     assert [repr(balance) for balance in threaded] == [repr(balance) for balance in in_line]
-    assert [*(swing for half_cycles, _ in found for swing in half_cycles), *last_swings] == swings
+    assert [*(h for half_cycles, _ in found for h in half_cycles), *last_swings] == half_cycles
 
 
 def test_frames_that_come_one_by_one_are_gathered_and_give_the_same() -> None:

@@ -65,8 +65,8 @@ def test_nothing_is_compiled_while_frames_come() -> None:
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
-    for swings, known, late in json.loads(done.stdout):
-        assert swings > 15
+    for half_cycles, known, late in json.loads(done.stdout):
+        assert half_cycles > 15
         assert known > 10
         assert late == []
 

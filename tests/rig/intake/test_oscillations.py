@@ -11,14 +11,14 @@ from tests.rig.intake.table_cases import analyse_table
 
 T_S = np.arange(0.0, 100.0, 0.05)
 T_NS = np.round(T_S * 1e9).astype(np.int64)
-SWING = np.exp(-0.005 * T_S) * np.cos(2 * np.pi / 4.05 * T_S)
+HALF_CYCLE = np.exp(-0.005 * T_S) * np.cos(2 * np.pi / 4.05 * T_S)
 FAST = np.exp(-0.002 * T_S) * np.cos(2 * np.pi * 1.7 * T_S + 1)
 NOISE = 1e-3 * np.random.default_rng(1).standard_normal((2, len(T_S)))
 
 
 def test_a_fast_mode_as_large_as_the_swing_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "fast.csv"
-    table = np.column_stack([T_S, *(np.array([SWING + FAST, 0.3 * SWING + 0.9 * FAST]) + NOISE)])
+    table = np.column_stack([T_S, *(np.array([HALF_CYCLE + FAST, 0.3 * HALF_CYCLE + 0.9 * FAST]) + NOISE)])
     np.savetxt(path, table, delimiter=",", fmt="%.6f")
     with pytest.raises(DataError, match="a second oscillation as large, which has to be filtered"):
         analyse_table(path, None, TableColumns("1", ("2", "3"), "arcsec"))
@@ -35,7 +35,7 @@ def test_a_weak_fast_mode_is_named_as_the_reason_of_wide_uncertainties_or_taken_
     tmp_path: Path, size: float
 ) -> None:
     """It widened u(b) forty times, and the report said nothing of it; two positions tell it apart."""
-    x, y = 3 * SWING + NOISE[0], SWING + size * FAST + NOISE[1]
+    x, y = 3 * HALF_CYCLE + NOISE[0], HALF_CYCLE + size * FAST + NOISE[1]
     assert not _warnings(tmp_path / "a.csv", x, y)
     (said,) = _warnings(tmp_path / "a.csv", x, y, ("y",))
     assert "a second oscillation at 1.7 Hz" in said
@@ -44,14 +44,14 @@ def test_a_weak_fast_mode_is_named_as_the_reason_of_wide_uncertainties_or_taken_
 
 
 def test_noise_a_drift_overtones_and_gaps_are_no_fast_mode(tmp_path: Path) -> None:
-    bent = SWING + 0.02 * SWING**2 + 0.01 * SWING**3
+    bent = HALF_CYCLE + 0.02 * HALF_CYCLE**2 + 0.01 * HALF_CYCLE**3
     drift = 0.5 * (T_S / 100.0) ** 2 + 0.1 * np.sin(2 * np.pi * T_S / 30.0)
-    for k, x in enumerate((SWING, bent, SWING + drift)):
+    for k, x in enumerate((HALF_CYCLE, bent, HALF_CYCLE + drift)):
         assert not _warnings(tmp_path / f"{k}.csv", x + NOISE[0], 0.3 * x + NOISE[1])
     with_gap = (bent + NOISE[0]).copy()
     with_gap[400:460] = np.nan
     assert not _warnings(tmp_path / "gap.csv", with_gap, 0.3 * bent + NOISE[1])
-    assert not _warnings(tmp_path / "digits.csv", np.round(SWING, 3), np.round(0.3 * SWING, 3))
+    assert not _warnings(tmp_path / "digits.csv", np.round(HALF_CYCLE, 3), np.round(0.3 * HALF_CYCLE, 3))
 
 
 def test_a_few_slow_swings_from_a_hold_are_one_oscillation(tmp_path: Path) -> None:

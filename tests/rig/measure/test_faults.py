@@ -39,12 +39,12 @@ def test_what_comes_back_costs_the_frames_between_and_disturbances_flag_half_cyc
     assert fitted["half_cycles"] >= 11
     assert fitted["losses"]["while_unplugged"] == fitted["dropped_frames"] == 150
     with RecordReader(session.record) as reader:
-        losses, sequences, swings = reader.losses(), reader.spots()["sequence"], reader.swings()
+        losses, sequences, half_cycles = reader.losses(), reader.spots()["sequence"], reader.half_cycles()
     assert losses == FrameLosses(while_unplugged=int(sequences[-1]) + 1 - len(sequences))
     assert "150 while unplugged" in rig("record", "info", session.record).stdout
     disturbed = HalfCycleFlag.VIBRATION | HalfCycleFlag.START
     # what was lost before flags half-cycles, too
-    flagged_s = [swing.turn_time_ns * 1e-9 - 1.0 for swing in swings if swing.flags & disturbed]
+    flagged_s = [h.turn_time_ns * 1e-9 - 1.0 for h in half_cycles if h.flags & disturbed]
     late_s = [at_s for at_s in flagged_s if at_s > 30.0]
     near = [[-6 < at_s - of_s < 12 for at_s in late_s] for of_s in disturbed_s.values()]
     assert all(map(any, near))

@@ -27,14 +27,14 @@ def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
     assert "Traceback" not in session.said
     assert session.record.exists(), session.said
     with RecordReader(session.record) as reader:
-        swings = [swing for swing in reader.swings() if swing.flags == 0]
+        half_cycles = [h for h in reader.half_cycles() if h.flags == 0]
     kinds, texts = [kind for kind, _ in session.events], dict(session.events)
     assert kinds.count("rest") == 2  # free, then held
     assert kinds.index("preflight") < kinds.index("magnet") < kinds.index("release") < kinds.index("start")
     held_arcsec = float(texts["magnet"].removeprefix("holds the pendulum at ").split()[0])
     # where it was held it starts from: 124 arcsec, less the first quarter cycle's loss and noise
     assert held_arcsec == pytest.approx(124.0, abs=0.5)
-    assert swings[0].amplitude / ARCSEC_RAD == pytest.approx(held_arcsec, rel=0.02)
+    assert half_cycles[0].amplitude / ARCSEC_RAD == pytest.approx(held_arcsec, rel=0.02)
     assert texts["stop"].startswith("time limit")
 
 

@@ -26,7 +26,7 @@ def judge(lever: Lever | None = LEVER) -> StartJudge:
     return StartJudge(Configuration(camera={"driver": "simulated"}), deflection_unit(lever))
 
 
-def swing(index: int, amplitude: float, rest: float = 0.0, late_s: float = 0.0) -> HalfCycle:
+def half_cycle(index: int, amplitude: float, rest: float = 0.0, late_s: float = 0.0) -> HalfCycle:
     turn_ns = index * HALF_PERIOD_NS + round(1e9 * late_s)
     return HalfCycle(index, turn_ns, 1e-4, amplitude, 1e-8, 2.0, 1e-4, rest, 1, 0)
 
@@ -43,7 +43,7 @@ def swing(index: int, amplitude: float, rest: float = 0.0, late_s: float = 0.0) 
     ],
 )
 def test_a_first_amplitude_in_arcsec_has_limits(lever: Lever | None, amplitude: float, said: str) -> None:
-    rejection = judge(lever).rejection([swing(k, amplitude) for k in range(2)], [], 1.0)
+    rejection = judge(lever).rejection([half_cycle(k, amplitude) for k in range(2)], [], 1.0)
     assert said in rejection
     assert bool(rejection) is bool(said)
 
@@ -67,7 +67,7 @@ def balance(rotation_deg_per_min: float, u_deg_per_min: float = 0.01) -> Balance
 def test_a_plane_that_turns_is_no_start(rate: float, u: float, rejected: bool) -> None:
     """It is known some periods after the start was accepted otherwise, and judged once."""
     started, unknown = judge(), balance(math.nan)
-    first = [swing(k, 124.0 * ARCSEC_RAD) for k in range(2)]
+    first = [half_cycle(k, 124.0 * ARCSEC_RAD) for k in range(2)]
     assert started.rejection(first, [unknown, unknown], 10.0) == ""
     why = started.rejection([], [unknown, balance(rate, u)], 20.0)
     assert bool(why) is rejected
@@ -97,7 +97,7 @@ def test_a_step_is_an_event_at_its_half_cycle(
     steps, found = StepEvents(DeflectionUnit.RAD), []
     for index, (rest, light) in enumerate(noise):
         late = index >= 40
-        turned = swing(index, 5e-4, (rest + late * rest_arcsec) * ARCSEC_RAD)
+        turned = half_cycle(index, 5e-4, (rest + late * rest_arcsec) * ARCSEC_RAD)
         found += steps.take(block(turned, 6.0 + light + late * background_dn))
     (event,) = found
     assert (event.kind, event.text) == (kind, text)
@@ -113,7 +113,7 @@ def test_a_draught_that_pushes_the_swing_is_an_event_whenever_it_comes(phase: fl
         # a push of 3 arcsec changes amplitude or phase, as it comes while the pendulum is fast or turns
         amplitude = 100.0 * np.exp(-decay * index) + late * 3.0 * np.cos(phase) + noise[index]
         delay_s = late * 3.0 * np.sin(phase) / 85.0 * 4.0 / (2 * np.pi)
-        found += events.take(block(swing(index, amplitude * ARCSEC_RAD, late_s=delay_s)))
+        found += events.take(block(half_cycle(index, amplitude * ARCSEC_RAD, late_s=delay_s)))
     (event,) = found
     assert event.kind == EventKind.PUSH
     assert float(event.text.split()[5]) == pytest.approx(3.0, abs=0.2)

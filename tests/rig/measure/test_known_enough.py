@@ -126,12 +126,12 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
         healths, estimates = reader.values(RecordedHealth), reader.values(RecordedEstimate)
         points = reader.values(RecordedFittedPoint)
         decoded = [EVENT.decode(one.data) for one in reader.messages(EVENT.topic)]
-        frames, swings = len(reader.spots()), reader.swings()
+        frames, half_cycles = len(reader.spots()), reader.half_cycles()
     assert [one.phase for one in phases] == [Phase.MEASURING, Phase.CLOSING]
     assert re.fullmatch(r"known well enough: u\(p\)/p = 0\.\d+ < 0\.9", ended)
     assert phases[-1].reason == ended
     # fits of 40 and 42 half-cycles; the turning point of one is known some frames after it
-    assert 42 <= len(swings) <= 46
+    assert 42 <= len(half_cycles) <= 46
     # this rig controls no laser
     assert (lights[-1].light, lights[-1].trip) == (Light.UNKNOWN, 0)
     # with the first block of at most 64 frames after each second, and at the end
@@ -144,7 +144,7 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
     assert levels["start"] == levels["stop"] == Severity.INFORMATION
     fitted = [one for one in estimates if one.time_ns == estimates[-1].time_ns]
     assert {"b", "c"} <= {one.quantity for one in fitted}
-    assert 42 <= fitted[0].half_cycles <= len(swings)
+    assert 42 <= fitted[0].half_cycles <= len(half_cycles)
     beside = [one for one in points if one.time_ns == points[-1].time_ns]
     assert len(beside) == fitted[0].half_cycles
 

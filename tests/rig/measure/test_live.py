@@ -85,7 +85,7 @@ def slower(live: Path, twin: Path) -> float:
     times_ns = []
     for record in (live, twin):
         with RecordReader(record) as reader:
-            times_ns.append({one.index: one.turn_time_ns for one in reader.swings() if not one.flags})
+            times_ns.append({one.index: one.turn_time_ns for one in reader.half_cycles() if not one.flags})
     both = sorted(times_ns[0].keys() & times_ns[1].keys())
     assert len(both) > 8
     of_live, of_twin = (np.array([found[index] - found[both[0]] for index in both]) for found in times_ns)

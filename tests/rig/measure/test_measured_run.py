@@ -44,16 +44,16 @@ def measured(q: float = 1e-9, turn_deg: float = 0.0) -> tuple[list[HalfCycle], D
 
 
 def fed(
-    run: MeasuredRun, swings: list[HalfCycle], samples: Deflections, steps: Sequence[int] = STEPS
+    run: MeasuredRun, half_cycles: list[HalfCycle], samples: Deflections, steps: Sequence[int] = STEPS
 ) -> FitResult:
     """What is known in the end, fitted in between, too, as the half-cycles come."""
     before, since = 0, int(samples.times_ns[0])
     for count in steps:
-        end_ns = swings[count].turn_time_ns
+        end_ns = half_cycles[count].turn_time_ns
         new = samples.since(since)
-        run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
+        run.take(half_cycles[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
         before, since = count, end_ns
-        _, fit = run.fitted(how(swings[:count], samples))
+        _, fit = run.fitted(how(half_cycles[:count], samples))
     return fit
 
 
@@ -65,23 +65,23 @@ def whole() -> tuple[int, FitResult]:
     return run.samples, fit
 
 
-def how(swings: list[HalfCycle], samples: Deflections) -> DecayFit:
-    watch = HarmonicsMeasurement(swings)
+def how(half_cycles: list[HalfCycle], samples: Deflections) -> DecayFit:
+    watch = HarmonicsMeasurement(half_cycles)
     watch.update(samples)
     return DecayFit(PENDULUM, evidence=evidence_of(FREE_DRAG, watch.harmonics()))
 
 
 def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:
-    swings, samples = measured()
-    swings = swings[: STEPS[-1]]
+    half_cycles, samples = measured()
+    half_cycles = half_cycles[: STEPS[-1]]
     upto = samples[: int(np.searchsorted(samples.times_ns, measured()[0][STEPS[-1]].turn_time_ns))]
     _, live = whole()
-    refined = refined_half_cycles(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
+    refined = refined_half_cycles(half_cycles, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
     assert refined.exact is not None
     assert refined.motion is not None
-    fit = how(swings, samples)
-    final = with_discrepancy(LinearisedFit.of(fit.points(refined.swings), PENDULUM, refined.exact))
-    detected = fit.of(swings)
+    fit = how(half_cycles, samples)
+    final = with_discrepancy(LinearisedFit.of(fit.points(refined.half_cycles), PENDULUM, refined.exact))
+    detected = fit.of(half_cycles)
     moved = 0.0
     for name in PAPER.names(drag=True):
         value, u = final.estimate(name)
@@ -93,16 +93,16 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
 
 
 def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:
-    swings, samples = measured(q=0.0, turn_deg=6.0)
-    live = fed(MeasuredRun(max_samples=3000), swings, samples, STEPS)
-    upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
-    followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
+    half_cycles, samples = measured(q=0.0, turn_deg=6.0)
+    live = fed(MeasuredRun(max_samples=3000), half_cycles, samples, STEPS)
+    upto = samples[: int(np.searchsorted(samples.times_ns, half_cycles[STEPS[-1]].turn_time_ns))]
+    followed = follow_plane(half_cycles[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
     assert followed.is_turned
     refined = refined_half_cycles(
-        followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
+        followed.half_cycles, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
     )
     assert refined.exact is not None
-    detected, unfollowed = how(swings, samples).of(swings), 0.0
+    detected, unfollowed = how(half_cycles, samples).of(half_cycles), 0.0
     for name in PAPER.names(drag=True):
         value, u = refined.exact.estimate(name)
         assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
@@ -123,14 +123,14 @@ def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None
 
 
 def test_a_fit_is_drawn_at_its_half_cycles_and_leaves_their_scatter() -> None:
-    swings, samples = measured()
+    half_cycles, samples = measured()
     run = MeasuredRun()
-    run.take(swings[:80], samples)
-    fit_of = how(swings[:80], samples)
+    run.take(half_cycles[:80], samples)
+    fit_of = how(half_cycles[:80], samples)
     stand, fit = run.fitted(fit_of)
     points = fit_of.points(stand)
     drawn = fitted_points(stand, points, fit, PENDULUM)
-    assert [one.turn_time_ns for one in drawn] == [swing.turn_time_ns for swing in stand if not swing.flags]
+    assert [one.turn_time_ns for one in drawn] == [h.turn_time_ns for h in stand if not h.flags]
     fitted, left = np.array([(one.amplitude_rad, one.amplitude_residual) for one in drawn]).T
     left_of_period = np.array([one.period_residual for one in drawn[1:-1]])
     again = fitted + left * points.u_amplitude
@@ -142,5 +142,5 @@ def test_a_fit_is_drawn_at_its_half_cycles_and_leaves_their_scatter() -> None:
         assert 0.5 < np.std(residuals) < 30.0
         assert abs(np.mean(residuals)) < np.std(residuals)
     # a long run is thinned
-    many = [replace(swing, index=k) for k, swing in enumerate(stand * 6)]
+    many = [replace(h, index=k) for k, h in enumerate(stand * 6)]
     assert 0 < len(fitted_points(many, fit_of.points(many), fit, PENDULUM)) <= 300

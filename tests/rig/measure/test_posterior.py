@@ -25,7 +25,7 @@ PARAMETERS, PENDULUM = paper_pair("glass_k8")
 POINTS = decay(PARAMETERS, PENDULUM, noise_arcsec=0.005, seed=4)
 
 
-def swings(points: TurningPoints) -> list[HalfCycle]:
+def half_cycles(points: TurningPoints) -> list[HalfCycle]:
     """Half-cycles with these turning points."""
     return [
         HalfCycle(
@@ -61,9 +61,9 @@ class Growing:
 
     def by(self, half_cycles: Sequence[HalfCycle]) -> Iterator[Posterior]:
         """What is known after each half-cycle."""
-        for swing in half_cycles:
-            self._records[-1].write_half_cycle(swing)
-            self.posterior.take([swing], self._records[-1].flush)
+        for half_cycle in half_cycles:
+            self._records[-1].write_half_cycle(half_cycle)
+            self.posterior.take([half_cycle], self._records[-1].flush)
             yield self.posterior.latest
 
     def grow(self, half_cycles: Sequence[HalfCycle]) -> Posterior:
@@ -99,7 +99,7 @@ def growing(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Growing]
 def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(
     growing: Growing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measured = swings(POINTS)[: FIRST_HALF_CYCLES + 6]
+    measured = half_cycles(POINTS)[: FIRST_HALF_CYCLES + 6]
     known = list(growing.by(measured))
     assert [one.half_cycles for one in known[FIRST_HALF_CYCLES - 2 :]][:2] == [0, FIRST_HALF_CYCLES]
     # each with 4 % more than the one before
@@ -121,7 +121,7 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(
     assert growing.posterior.worker_pid is None
     until(lambda: not alive(pid))
     # half-cycles that are no decay change nothing, and flagged ones are not fitted
-    rising = swings(POINTS)[:FIRST_HALF_CYCLES][::-1]
+    rising = half_cycles(POINTS)[:FIRST_HALF_CYCLES][::-1]
     assert growing.grow(rising) == Posterior()
     assert growing.posterior.worker_pid is not None
     assert growing.posterior.take_remark() == ""
@@ -137,7 +137,7 @@ def test_frames_that_wait_for_a_fit_on_purpose_say_so_and_go_on_without_the_proc
     """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
     # no process starts within that
     monkeypatch.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.02)
-    measured, posterior = swings(POINTS), growing.posterior
+    measured, posterior = half_cycles(POINTS), growing.posterior
     growing.grow(measured[: FIRST_HALF_CYCLES - 1])
     said: list[str] = []
 
@@ -173,7 +173,7 @@ def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core_and_nothing_fo
     growing: Growing,
 ) -> None:
     """At least 50 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
-    fitted_s, measured, sent, posterior = [], swings(POINTS), 0, growing.posterior
+    fitted_s, measured, sent, posterior = [], half_cycles(POINTS), 0, growing.posterior
     for count in (FIRST_HALF_CYCLES, FIRST_HALF_CYCLES + 2, FIRST_HALF_CYCLES + 4):
         growing.grow(measured[sent:count])
         sent = count

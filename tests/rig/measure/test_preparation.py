@@ -32,14 +32,14 @@ def test_a_release_by_hand_is_caught_from_before_it_happens_and_json_lines_say_a
     assert states[-1]["reason"].startswith("time limit")
     with RecordReader(session.record) as reader:
         spots = reader.spots()
-        swings = [swing for swing in reader.swings() if swing.flags == 0]
+        half_cycles = [h for h in reader.half_cycles() if h.flags == 0]
         assert "preflight.json" in reader.attachments
     # the camera's clock shows 1 s at simulated time 0
     release_s = 8.0
     assert release_s - 2.1 < spots["time_ns"][0] * 1e-9 < release_s - 1.0
     assert (spots["sequence"] == range(len(spots))).all()
     # pushed from rest, it turns first a quarter period after the push; the first or second is clean
-    assert swings[0].turn_time_ns * 1e-9 < release_s + 4.2
+    assert half_cycles[0].turn_time_ns * 1e-9 < release_s + 4.2
     kinds = [kind for kind, _ in session.events]
     assert kinds.index("rest") < kinds.index("preflight") < kinds.index("release") < kinds.index("start")
 
@@ -78,7 +78,7 @@ def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("most_s", "so_far"), [("8", "spread 12"), ("3", "3 of 4.5 s)")])
 def test_waiting_for_rest_ends_at_its_limit_with_the_reason(tmp_path: Path, most_s: str, so_far: str) -> None:
-    swings = {**BY_HAND, "simulation.release.at_s": "0", "phases.rest_window_s": "4.5"}
-    session = run(tmp_path / "out", swings, phases__rest_max_s=most_s)
+    half_cycles = {**BY_HAND, "simulation.release.at_s": "0", "phases.rest_window_s": "4.5"}
+    session = run(tmp_path / "out", half_cycles, phases__rest_max_s=most_s)
     assert session.done.returncode == 1
     assert f"rest: not reached within {most_s} s ({so_far}" in session.said

@@ -85,15 +85,15 @@ def test_every_frame_has_both_spots_as_they_were_seen(recorded: Path) -> None:
     assert first.y == pytest.approx(deflector(spots["time_ns"][:count], rows).y, rel=1e-9)
 
 
-def scatter(swings: Sequence[HalfCycle]) -> tuple[float, float]:
+def scatter(half_cycles: Sequence[HalfCycle]) -> tuple[float, float]:
     """Of the amplitudes about the simulator's own, in arcsec, and over what is said of it."""
     true = true_turning_points(load_configuration(DEMO).simulation, max_duration_s=70.0)
-    good = [swing for swing in swings if not swing.flags]
+    good = [h for h in half_cycles if not h.flags]
     # the simulated camera's clock begins with 1 s
-    time_s = np.array([swing.turn_time_ns for swing in good]) * 1e-9 - 1.0
+    time_s = np.array([h.turn_time_ns for h in good]) * 1e-9 - 1.0
     nearest = np.argmin(np.abs(time_s[:, None] - true.time_s), axis=1)
-    off = np.array([swing.amplitude for swing in good]) - np.abs(true.angle_rad[nearest])
-    u = np.array([swing.u_amplitude for swing in good])
+    off = np.array([h.amplitude for h in good]) - np.abs(true.angle_rad[nearest])
+    u = np.array([h.u_amplitude for h in good])
     return float(np.std(off)) / ARCSEC_RAD, float(np.std(off / u))
 
 
@@ -107,7 +107,7 @@ def corrected(recorded: Path, **gain: Any) -> tuple[str, tuple[float, float], tu
         assert less is not None
         assert less.used
         blocks = (less.correct(reader.deflections(one)) for one in reader.spot_blocks())
-        return less.note, scatter(reader.swings()), scatter(half_cycles_of_blocks(blocks))
+        return less.note, scatter(reader.half_cycles()), scatter(half_cycles_of_blocks(blocks))
 
 
 def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: Path) -> None:

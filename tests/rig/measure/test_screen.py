@@ -103,14 +103,14 @@ def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
 
 
 def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:
-    swings = [
+    half_cycles = [
         HalfCycle(n, round(1e9 * (10.0 + 2.1 * n)), 1e-6, size * ARCSEC_RAD, 1e-9, 2.1, 1e-6, 0.0, 1, flags)
         for n, size, flags in ((0, 124.0, 0), (1, 99.0, 1))
     ]
     before = RunNow(half_cycles=5, dropped_frames=7)
     lost = [RecordedLosses(1, *astuple(FrameLosses(by_bus=count))) for count in (9, 3)]
     for losses, dropped in zip(lost, (9, 7), strict=True):
-        contents = RecordContents(half_cycles=swings, messages=[losses], start_ns=6_000_000_000)
+        contents = RecordContents(half_cycles=half_cycles, messages=[losses], start_ns=6_000_000_000)
         now = before.with_contents(contents, RAD)
         assert (now.half_cycles, now.dropped_frames) == (7, dropped)
         assert (now.amplitude, now.amplitude_s, now.period_s) == (pytest.approx(124.0), 4.0, 4.2)
@@ -153,11 +153,11 @@ def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present
 def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
     """Of a decay from 124 arcsec by 1 % a half-cycle, after a minute."""
     shown = display(max_duration_s=longest_s)
-    swings = [
+    half_cycles = [
         HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
     ]
-    shown.take(RecordContents(half_cycles=swings))
+    shown.take(RecordContents(half_cycles=half_cycles))
     seen = RunNow(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
     shown.show(seen)
     values = shown.values(seen)

@@ -109,18 +109,18 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
     record_plainly(config, CONFIGS / "demo.toml", tmp_path / "run.mcap")
     with RecordReader(tmp_path / "run.mcap") as reader:
         assert "spot lost" in {event.kind for event in reader.events()}
-        swings = reader.swings()
+        half_cycles = reader.half_cycles()
     # 124 arcsec are 250 px, the sensor ends at 220 px: more than an eighth of these half-cycles is outside
     gap = HalfCycleFlag.GAP
-    assert [swing.flags for swing in swings[:17]] == [gap, gap, gap, gap, 0, gap, *11 * [0]]
+    assert [h.flags for h in half_cycles[:17]] == [gap, gap, gap, gap, 0, gap, *11 * [0]]
     # what is reported must be right all the same
     simulation = load_configuration(CONFIGS / "demo.toml").simulation
     truth = true_turning_points(simulation, max_duration_s=45)
-    for swing in (swing for swing in swings if swing.flags == 0):
-        time_s = swing.turn_time_ns * 1e-9 - simulation.clock.start_s
+    for half_cycle in (h for h in half_cycles if h.flags == 0):
+        time_s = half_cycle.turn_time_ns * 1e-9 - simulation.clock.start_s
         nearest = int(np.argmin(np.abs(truth.time_s - time_s)))
-        assert abs(time_s - truth.time_s[nearest]) < 5 * swing.u_turn_time_s
-        assert abs(swing.amplitude - abs(truth.angle_rad[nearest])) < 5 * swing.u_amplitude
+        assert abs(time_s - truth.time_s[nearest]) < 5 * half_cycle.u_turn_time_s
+        assert abs(half_cycle.amplitude - abs(truth.angle_rad[nearest])) < 5 * half_cycle.u_amplitude
 
 
 @pytest.mark.slow

@@ -105,14 +105,14 @@ def measure(seed: int, folder: Path, rate_hz: float = 25.0) -> dict[str, tuple[f
         lever, config.axes, x_px, y_px, u_px, u_px, (lever.reference_x_px, lever.reference_y_px)
     )
     stamps_ns = np.rint(times_s * (1 + 1e-6 * rig.settings.clock.drift_ppm) * 1e9).astype(np.int64)
-    swings = half_cycles_of(stamps_ns, y_rad, u_y_rad)
-    swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
+    half_cycles = half_cycles_of(stamps_ns, y_rad, u_y_rad)
+    half_cycles = [h for h in half_cycles if h.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None
     assert quantities is not None
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
-    refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
-    exact = refined.exact or fit_exact(points_in_true_time(refined.swings, clock_rate), pendulum)
+    refined = refined_half_cycles(half_cycles, [slow], slow.unit, pendulum, config.fit, clock_rate)
+    exact = refined.exact or fit_exact(points_in_true_time(refined.half_cycles, clock_rate), pendulum)
     table = budgets(exact, quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)

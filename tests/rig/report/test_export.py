@@ -127,7 +127,7 @@ def test_the_tables_of_a_report_are_exported_for_latex(exported: dict[str, list[
 def test_hdf5_is_laid_out_as_nexus(
     measured_series: Path, exported: dict[str, list[Path]], truth: dict[str, np.ndarray], results: Any
 ) -> None:
-    swings, first, series = truth["swings"], results["runs"][0], results["series"]
+    half_cycles, first, series = truth["swings"], results["runs"][0], results["series"]
     with h5py.File(*exported["hdf5"]) as file:
         assert file.attrs["NX_class"] == "NXroot"
         assert sorted(file) == ["run_1", "run_2", "series"]
@@ -136,9 +136,9 @@ def test_hdf5_is_laid_out_as_nexus(
         data = entry["swings"]
         assert data.attrs["NX_class"] == "NXdata"
         signal = data[data.attrs["signal"]]
-        np.testing.assert_array_equal(signal[:], swings["amplitude_rad"])
+        np.testing.assert_array_equal(signal[:], half_cycles["amplitude_rad"])
         assert signal.attrs["units"] == "rad"
-        np.testing.assert_array_equal(data["amplitude_rad_errors"][:], swings["u_amplitude_rad"])
+        np.testing.assert_array_equal(data["amplitude_rad_errors"][:], half_cycles["u_amplitude_rad"])
         assert data[data.attrs["axes"][0]].attrs["units"] == "ns"
         assert json.loads(entry["provenance/description"][()])["sha256"] == first["sha256"]
         value = entry["results/values/exact/gamma_pa"]

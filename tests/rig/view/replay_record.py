@@ -74,15 +74,15 @@ def make_record(
             half_cycles, balances = pipeline.estimate(deflections)
             listed = times_ns[part].tolist()
             writer.write_spots(sequences[part].tolist(), listed, listed, spots[part], deflections)
-            for swing in half_cycles:
-                writer.write_half_cycle(swing)
+            for half_cycle in half_cycles:
+                writer.write_half_cycle(half_cycle)
             for balance in balances:
                 writer.write_balance(balance)
             if windows:
                 _write_windows(writer, sequences[part].tolist(), spots[part])
             writer.flush()
-        for swing in pipeline.finish()[0]:
-            writer.write_half_cycle(swing)
+        for half_cycle in pipeline.finish()[0]:
+            writer.write_half_cycle(half_cycle)
         writer.write_event(int(times_ns[-1]), end, "time limit")
     return path
 

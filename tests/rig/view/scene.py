@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from acquisition.record.events import Event, EventKind
 from processing.units import ARCSEC_RAD
 from rig.view import layout
-from rig.view.analysis import AnalysisCurve, draw_fits
-from rig.view.drawing import Drawing
+from rig.view.analysis import AnalysisCurve, plot_fits
 from rig.view.layout import Setup
+from rig.view.plotting import RunPlot
 
 PERIOD_S = 4.07
 SECONDS = 60.0
@@ -29,43 +29,43 @@ RATE_HZ = 100.0
 
 
 @contextmanager
-def drawing_into(rrd: Path, **setup: Any) -> Iterator[Drawing]:
+def plotting_into(rrd: Path, **setup: Any) -> Iterator[RunPlot]:
     """Draw into a Rerun file; `setup` as for `Setup`."""
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
     known = Setup("scene", **setup)
     stream.set_sinks(rr.FileSink(rrd), default_blueprint=layout.blueprint(known))
     stream.send_recording_name("scene")
-    drawing = Drawing(stream, known, limit_s=1e9, limit_rows=8000)
-    yield drawing
-    drawing.send(now=True)
+    plot = RunPlot(stream, known, limit_s=1e9, limit_rows=8000)
+    yield plot
+    plot.send(now=True)
     stream.flush(timeout_sec=30.0)
     stream.disconnect()
 
 
-def play(drawing: Drawing, *, seed: int = 1, seconds: float = SECONDS) -> None:
+def play(plot: RunPlot, *, seed: int = 1, seconds: float = SECONDS) -> None:
     """Draw the whole scene."""
     random = np.random.default_rng(seed)
     events = ((0.0, EventKind.START), (20.0, EventKind.SPOT_LOST), (24.0, EventKind.SPOT_FOUND))
     for at_s, kind in events:
-        drawing.event(at_s, Event(0, kind, "of the scene"))
+        plot.event(at_s, Event(0, kind, "of the scene"))
     for time_s in blocks(seconds):
         x, y = trajectory(time_s, random)
-        drawing.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
+        plot.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
         if round(time_s[0] * 10) % 20 == 0:
-            _half_cycle(drawing, float(time_s[0]), random)
+            _half_cycle(plot, float(time_s[0]), random)
         if round(time_s[0] * 10) % 200 == 0:
             end_s, spot = float(time_s[-1]), (320.0 + 2.2 * x[-1], 160.0 - 1.2 * y[-1])
             done, jpeg = cv2.imencode(".jpg", spot_image(spot, random))
             assert done
-            drawing.picture(end_s, jpeg.tobytes(), (320, 640), spot)
-            drawing.losses(end_s, {"missing_frames": round(end_s / 10), "lost_spots": round(end_s / 20)})
+            plot.picture(end_s, jpeg.tobytes(), (320, 640), spot)
+            plot.losses(end_s, {"missing_frames": round(end_s / 10), "lost_spots": round(end_s / 20)})
             state = f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped"
-            drawing.text(layout.STATE, end_s, state)
-            drawing.clock(end_s, 31.0 + 0.02 * end_s, 12.0 / (1.0 + 0.1 * end_s))
-            drawing.event(end_s, Event(0, EventKind.GAP, "1 frame is missing"))
-        drawing.send()
+            plot.text(layout.STATE, end_s, state)
+            plot.clock(end_s, 31.0 + 0.02 * end_s, 12.0 / (1.0 + 0.1 * end_s))
+            plot.event(end_s, Event(0, EventKind.GAP, "1 frame is missing"))
+        plot.send()
     report = "# steel on K8 glass\n\n| | exact | u |\n|---|---|---|\n| p | 0.50 | 0.01 |"
-    draw_fits(drawing.stream, curves(), report, drawing.setup.unit)
+    plot_fits(plot.stream, curves(), report, plot.setup.unit)
 
 
 def blocks(seconds: float) -> Iterator[NDArray[np.float64]]:
@@ -121,13 +121,13 @@ def _arcsec(value: float, u: float) -> tuple[float, float]:
     return value * ARCSEC_RAD, u * ARCSEC_RAD
 
 
-def _half_cycle(drawing: Drawing, time_s: float, random: np.random.Generator) -> None:
+def _half_cycle(plot: RunPlot, time_s: float, random: np.random.Generator) -> None:
     amplitude = 120 * np.exp(-time_s / 900)
     noise = random.normal(size=8)
     period_s = PERIOD_S * (1 + 2e-5 * amplitude) + 0.03 / amplitude * noise[1]
     columns = (amplitude + 0.005 * noise[0], 0.005, period_s, 0.03 / amplitude)
     at_s, value, u, period, u_period = (np.array([one]) for one in (time_s, *columns))
-    drawing.half_cycles(at_s, (value, u), (period, u_period))
+    plot.half_cycles(at_s, (value, u), (period, u_period))
     numbers = {
         "transverse": _arcsec(2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
         "transverse_ratio": (0.02 + 0.0005 * noise[3], 0.0005),
@@ -140,5 +140,5 @@ def _half_cycle(drawing: Drawing, time_s: float, random: np.random.Generator) ->
         "drift_y_per_s": _arcsec(0.12 / 60, 0.005 / 60),
         "period_ratio": (5.1 + 0.001 * noise[7], 0.003),
     }
-    drawing.balance(time_s, numbers)
-    drawing.text(layout.ADVICE, time_s, "The line is tilted by **1.60°** clockwise.")
+    plot.balance(time_s, numbers)
+    plot.text(layout.ADVICE, time_s, "The line is tilted by **1.60°** clockwise.")

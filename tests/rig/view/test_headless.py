@@ -80,8 +80,8 @@ COLOURS = {
 def test_layout(layout: LayoutName, tmp_path: Path) -> None:
     require_software_vulkan()
     path = tmp_path / "scene.rrd"
-    with view_scene.drawing_into(path, layout=layout) as drawing:
-        view_scene.play(drawing)
+    with view_scene.plotting_into(path, layout=layout) as plot:
+        view_scene.play(plot)
     with headless_viewer(str(path)) as shown:
         state = shown.wait_loaded()
         assert {view.name for view in state.views} == set(VIEWS[layout])
@@ -109,14 +109,14 @@ def test_the_trajectory_points_up_and_fades(tmp_path: Path) -> None:
     require_software_vulkan()
     path = tmp_path / "scene.rrd"
     period_s = view_scene.PERIOD_S
-    with view_scene.drawing_into(path, amplitude=100.0, period_s=period_s) as drawing:
+    with view_scene.plotting_into(path, amplitude=100.0, period_s=period_s) as plot:
         time_s = np.arange(0, 8 * period_s, 0.01)
         late = np.clip((time_s - 6 * period_s) / (2 * period_s), 0, 1)
         x = np.where(late > 0, 90 * late, -60 + 20 * np.sin(time_s))
         y = np.where(late > 0, 90 * late, -60 + 20 * np.cos(time_s))
         # A lost spot between the two: no line may lead from one to the other.
         x[(late == 0) & (time_s > 5.8 * period_s)] = np.nan
-        drawing.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
+        plot.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
     with headless_viewer(str(path)) as shown:
         shown.wait_loaded()
         view = shown.picture_once(

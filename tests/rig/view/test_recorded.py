@@ -23,7 +23,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
-from rig.view.drawing import is_drawn
+from rig.view.plotting import is_plotted
 from rig.view.show import setup_of, show_record
 from tests.rig.view import scene as view_scene
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
@@ -34,12 +34,12 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     rrd, record = tmp_path / "shown.rrd", make_record(tmp_path / "run.mcap", 20.0, windows=True)
     show_record(record, rrd=rrd)
     with RecordReader(record) as reader:
-        seen, swings, balances = reader.deflections(), reader.swings(), reader.balances()
+        seen, half_cycles, balances = reader.deflections(), reader.half_cycles(), reader.balances()
     times_s, x = scalars(rrd, "/deflection/x")
     np.testing.assert_allclose(x, seen.shown_x, rtol=1e-12)
     assert times_s[[0, -1]] == pytest.approx([0.0, 19.98], abs=1e-9)
-    amplitudes = [(swing.amplitude / ARCSEC_RAD, swing.u_amplitude / ARCSEC_RAD) for swing in swings]
-    periods_s = [(2 * swing.half_period_s, 2 * swing.u_half_period_s) for swing in swings]
+    amplitudes = [(h.amplitude / ARCSEC_RAD, h.u_amplitude / ARCSEC_RAD) for h in half_cycles]
+    periods_s = [(2 * h.half_period_s, 2 * h.u_half_period_s) for h in half_cycles]
     periods_s = [pair for pair in periods_s if not math.isnan(pair[0])]
     for name, expected in (("amplitude", amplitudes), ("period", periods_s)):
         np.testing.assert_allclose(np.transpose(measured(rrd, f"/{name}")[1:]), expected, rtol=1e-5)
@@ -184,4 +184,4 @@ def test_the_state_says_how_the_session_keeps_up(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("u", "drawn"), [(0.4, True), (0.6, False), (math.nan, False)])
 def test_a_parameter_is_drawn_once_it_is_known_to_a_half_of_its_value(u: float, drawn: bool) -> None:
-    assert is_drawn(-1.0, u) is drawn
+    assert is_plotted(-1.0, u) is drawn

@@ -1,4 +1,4 @@
-"""The drawing of a run: its values as curves, tables, lanes and pictures in a Rerun stream."""
+"""The plot of a run: its values as curves, tables, lanes and pictures in a Rerun stream."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -70,13 +70,13 @@ def _measurement_columns(values: Floats, u: Floats) -> Any:
 
 
 class RunLanes:
-    """Draws the lanes, which show states of a run against time."""
+    """Plots the lanes, which show states of a run against time."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._styled_lanes: set[str] = set()
 
-    def draw(self, kind: str) -> None:
+    def plot(self, kind: str) -> None:
         """Change the lanes by an event of this kind; the stream's time must be set."""
         for lane, state in _STATES_AFTER_EVENT.get(kind, {}).items():
             entity = f"/{lane}"
@@ -88,8 +88,8 @@ class RunLanes:
             self._stream.log(entity, rr.StateChange(state=state))
 
 
-class Drawing:
-    """Draws the values of a run into one stream; curves are buffered and sent in blocks.
+class RunPlot:
+    """Plots the values of a run into one stream; curves are buffered and sent in blocks.
 
     Times are seconds since the start of the run. The sinks of `stream` must be set; `limit_s` and
     `limit_rows` are those of `SendBuffer`.
@@ -113,8 +113,8 @@ class Drawing:
         self._buffer.send(now=now)
 
     def samples(self, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
-        """Draw deflections (n,) in the unit of the setup, NaN if the spot was lost, with flags."""
-        # flags of the beam's model, which all spots of a run have, do not force a sample to be drawn
+        """Plot deflections (n,) in the unit of the setup, NaN if the spot was lost, with flags."""
+        # flags of the beam's model, which all spots of a run have, do not force a sample to be plotted
         chosen = self._decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
         if not chosen.any():
             return
@@ -122,13 +122,13 @@ class Drawing:
         columns = time_s[chosen], x[chosen], y[chosen]
         curve_s, curve_x, curve_y = self._breaks.break_at_gaps(layout.X, gap_s, *columns)
         self._curve(layout.X, f"X / {unit}", palette.GREY, curve_s, curve_x)
-        self._draw_transverse(curve_s, curve_x, curve_y)
+        self._plot_transverse(curve_s, curve_x, curve_y)
         self._curve(layout.Y, f"Y / {unit}", palette.Y_COLOUR, curve_s, curve_y)
-        self._lissajous.draw(curve_s, curve_x, curve_y)
+        self._lissajous.plot(curve_s, curve_x, curve_y)
         self._lissajous.follow(time_s, x, y)
 
-    def _draw_transverse(self, time_s: Floats, x: Floats, y: Floats) -> None:
-        """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
+    def _plot_transverse(self, time_s: Floats, x: Floats, y: Floats) -> None:
+        """Plot the two parts of X: the fast mode, and the leakage of the slow mode."""
         separated = self._transverse.samples(time_s, x, y)
         if separated is not None:
             time_s, fast, leakage = separated
@@ -136,7 +136,7 @@ class Drawing:
             self._curve(layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
 
     def reference(self, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
-        """Draw the reference spot (n,) relative to its first position; NaN if it was lost."""
+        """Plot the reference spot (n,) relative to its first position; NaN if it was lost."""
         if self._reference_origin_px is None:
             finite = np.flatnonzero(np.isfinite(x_px + y_px))
             if not len(finite):
@@ -155,7 +155,7 @@ class Drawing:
     def half_cycles(
         self, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
     ) -> None:
-        """Draw amplitude (shown unit) and full period in s at turning points (n,), each with its u."""
+        """Plot amplitude (shown unit) and full period in s at turning points (n,), each with its u."""
         for path, (value, u), colour, unit in (
             (layout.AMPLITUDE, amplitudes, palette.AMPLITUDE_COLOUR, self.setup.unit),
             (layout.PERIOD, periods_s, palette.PERIOD_COLOUR, "s"),
@@ -166,12 +166,12 @@ class Drawing:
                 self._curve(path, f"{path[1:]} / {unit}", colour, *columns, max_gap=_MAX_POINT_GAP)
 
     def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
-        """Draw the balance at one moment (see `balance_numbers`), as curves and as a table."""
+        """Plot the balance at one moment (see `balance_numbers`), as curves and as a table."""
         unit = self.setup.unit
         size = ARCSEC_RAD if unit == "arcsec" else 1.0
         self._transverse.balance(time_s, numbers, size)
-        # draw the samples that have waited for the first balance
-        self._draw_transverse(*[np.empty(0)] * 3)
+        # plot the samples that have waited for the first balance
+        self._plot_transverse(*[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
             display, style = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
@@ -181,23 +181,23 @@ class Drawing:
         self.text(layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
     def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
-        """Draw parameters of the contact that `is_drawn` accepts, by key, in the stored unit."""
+        """Plot parameters of the contact that `is_plotted` accepts, by key, in the stored unit."""
         for number, (key, label) in enumerate(self.setup.parameters.items()):
             factor = parameter_display(key).factor
             value, u = (factor * number for number in numbers.get(key, Estimate(np.nan, np.nan)))
-            if is_drawn(value, u):
+            if is_plotted(value, u):
                 path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
                 self._curve(path, label, colour, time_s, value, u)
 
     def clock(self, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
-        """Draw the rate of the camera's clock against the computer's, minus 1."""
+        """Plot the rate of the camera's clock against the computer's, minus 1."""
         label = "camera's clock / ppm"
         self._curve(layout.CLOCK, label, palette.SKY_BLUE, time_s, drift_ppm, u_drift_ppm)
 
     def picture(
         self, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
     ) -> None:
-        """Draw a camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
+        """Show a camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
         self._set_time(time_s)
         encoded = rr.EncodedImage(contents=jpeg, media_type="image/jpeg")
         self.stream.log(layout.IMAGE, encoded)
@@ -205,21 +205,21 @@ class Drawing:
         self.stream.log(layout.SPOT, mark)
 
     def losses(self, time_s: float, counts: Mapping[str, int]) -> None:
-        """Draw counts since the start of the run, by name."""
+        """Plot counts since the start of the run, by name."""
         for index, (name, count) in enumerate(sorted(counts.items())):
             colour = palette.LOSSES[index % len(palette.LOSSES)]
             path, label = f"{layout.LOSSES_ROOT}/{name}", name.replace("_", " ")
             self._curve(path, label, colour, time_s, float(count), steps=True)
 
     def event(self, time_s: float, event: Event) -> None:
-        """Draw an event: a line of the log, and its changes of the lanes."""
+        """Show an event: a line of the log, and its changes of the lanes."""
         self._set_time(time_s)
         log = rr.TextLog(event.line, level=_LOG_LEVELS[event.level])
         self.stream.log(layout.EVENTS, log)
-        self._lanes.draw(event.kind)
+        self._lanes.plot(event.kind)
 
     def text(self, path: str, time_s: float, text: str) -> None:
-        """Draw a text in Markdown, the contents of a panel."""
+        """Show a text in Markdown, the contents of a panel."""
         self._set_time(time_s)
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self.stream.log(path, document)
@@ -263,9 +263,9 @@ def parameter_display(key: str) -> QuantityDisplay:
 
 
 _MAX_RELATIVE_U = 0.5
-"""Largest relative uncertainty of a parameter that is drawn."""
+"""Largest relative uncertainty of a parameter that is plotted."""
 
 
-def is_drawn(value: float, u: float) -> bool:
-    """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
+def is_plotted(value: float, u: float) -> bool:
+    """Whether a parameter is known well enough to be plotted: the first values would hide all later ones."""
     return u <= _MAX_RELATIVE_U * abs(value)

@@ -18,22 +18,22 @@ from processing.units import ARCSEC_RAD
 from rig.instrument import Block, complete, make_camera
 from rig.settings import load_configuration
 from rig.view import BalanceView, layout
-from rig.view.drawing import _STATE_COLOURS, _STATES_AFTER_EVENT, RunLanes
 from rig.view.graticule import PLANE_REACH
+from rig.view.plotting import _STATE_COLOURS, _STATES_AFTER_EVENT, RunLanes
 from tests.rig.view.replay_record import CONFIG
 from tests.rig.view.rrd_contents import column, measured, scalars
-from tests.rig.view.scene import drawing_into
+from tests.rig.view.scene import plotting_into
 
 
 def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     path = tmp_path / "gaps.rrd"
     time_s = np.concatenate([np.arange(0, 5, 0.02), np.arange(30, 35, 0.02)])
     flags = np.zeros(len(time_s), dtype=np.int64)
-    with drawing_into(path, period_s=4.0) as drawing:
+    with plotting_into(path, period_s=4.0) as plot:
         for part in (slice(0, 400), slice(400, None)):
-            drawing.samples(time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
+            plot.samples(time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
         for at_s in (17.0, 21.0, 953.0, 957.0):
-            drawing.balance(at_s, {"period_ratio": (3.0, 0.1)})
+            plot.balance(at_s, {"period_ratio": (3.0, 0.1)})
     at, x = scalars(path, "/deflection/x")
     assert at[np.isnan(x)].tolist() == [0.5 * (time_s[249] + time_s[250])]
     assert np.isfinite(x).sum() == len(time_s)
@@ -47,10 +47,10 @@ def test_the_fast_mode_is_drawn_about_the_rest_position(tmp_path: Path, unit: st
     path, time_s = tmp_path / "rest.rrd", np.arange(0, 8, 0.05)
     fast = 0.5 * np.cos(9 * time_s)
     at_rest = {"line_angle_rad": (0.0, 1e-4), "rest_x": (30 * size, size), "rest_y": (-7 * size, size)}
-    with drawing_into(path, unit=unit) as drawing:
+    with plotting_into(path, unit=unit) as plot:
         y = 20 * np.cos(1.5 * time_s) - 7
-        drawing.samples(time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
-        drawing.balance(4.0, at_rest)
+        plot.samples(time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
+        plot.balance(4.0, at_rest)
     at, drawn = scalars(path, layout.FAST)
     assert at == pytest.approx(time_s)
     assert drawn == pytest.approx(fast, abs=1e-6)
@@ -59,9 +59,9 @@ def test_the_fast_mode_is_drawn_about_the_rest_position(tmp_path: Path, unit: st
 def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> None:
     """A flag that every spot of a run has would have every sample drawn."""
     path = tmp_path / "run.rrd"
-    with drawing_into(path) as drawing:
+    with plotting_into(path) as plot:
         time_s = np.arange(500) / 500
-        drawing.samples(time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
+        plot.samples(time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
     assert len(scalars(path, "/deflection/x")[0]) == 100
 
 
@@ -81,11 +81,11 @@ def decay(amplitude: float) -> np.ndarray:
 
 def draw(rrd: Path, block: int, amplitude: float, y: np.ndarray) -> None:
     time_s = 0.02 * np.arange(len(y))
-    with drawing_into(rrd, amplitude=amplitude, period_s=PERIOD_S) as drawing:
+    with plotting_into(rrd, amplitude=amplitude, period_s=PERIOD_S) as plot:
         for first in range(0, len(time_s), block):
             part = slice(first, first + block)
             none = np.zeros(len(time_s[part]), dtype=np.int64)
-            drawing.samples(time_s[part], 0 * y[part], y[part], none)
+            plot.samples(time_s[part], 0 * y[part], y[part], none)
 
 
 @pytest.mark.parametrize("block", [8, 1024])
