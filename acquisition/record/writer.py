@@ -18,7 +18,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_path
-from acquisition.record.codec import encode_window, preview_step
+from acquisition.record.codec import encode_window as encode_window
+from acquisition.record.codec import preview_step
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.topics import (

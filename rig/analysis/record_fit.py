@@ -15,7 +15,7 @@ from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT, RecordedCl
 from calibration import relate_clocks
 from processing.balance import Balance, balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import DataError
+from processing.errors import DataError, RecordError
 from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, half_cycles_of_blocks
@@ -66,7 +66,10 @@ def analyse_record(
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
         refuse_without_effect(overrides, FITTED, "rig replay takes the recorded motion again")
-        blocks = _RecordedDeflections(reader)
+        blocks, balances = _RecordedDeflections(reader), list[Balance]()
+        # balances that cannot be read, as those of another version, are made again
+        with suppress(RecordError):
+            balances = reader.balances()
         return analyse_run(
             reader,
             config,
@@ -75,7 +78,7 @@ def analyse_record(
             reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.next_sequence - frames,
-            balances=reader.balances(),
+            balances=balances,
             seismometer=seismometer,
         )
 

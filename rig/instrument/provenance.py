@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from acquisition.camera import CameraInfo, Frame
-from acquisition.record.codec import encode_window
 from acquisition.record.digest import camera_metadata
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CLOCK
@@ -217,6 +216,9 @@ def compile_tracker(sensor: SensorModel) -> None:
 
     Two frames of the camera's pixel type are tracked, one by searching, one by following; one is encoded.
     """
+    # a fit, which needs the rest of this module, writes no record
+    from acquisition.record.writer import encode_window
+
     y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
     spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
     image = spot.astype(np.uint8 if sensor.full_scale_dn <= np.iinfo(np.uint8).max else np.uint16)

@@ -228,7 +228,7 @@ def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.Monk
     names: dict[str, Any] = {}
     exec(textwrap.dedent(block), names)
     assert len(names["spots"]) == 20 * RATE_HZ - 1
-    assert len(names["swings"]) >= 5
+    assert len(names["half_cycles"]) >= 5
     assert names["window"].image.shape == (84, 84)
 
 

@@ -74,7 +74,7 @@ def test_contact_angle_of_the_two_ball_pendulum(flat: str, arcmin: float) -> Non
 def test_damping_of_an_exponential_decay(start_deg: float, rate: float) -> None:
     """ln 2 / rate half-cycles from 6 to 3 degrees, wherever the turning points lie."""
     found = damping(exponential(start_deg, rate, math.ceil(2 / rate)), 6 * DEGREE_RAD, 3 * DEGREE_RAD)
-    assert found.half_cycles.value == pytest.approx(0.5 * math.log(2) / rate, rel=1e-9)
+    assert found.swings.value == pytest.approx(0.5 * math.log(2) / rate, rel=1e-9)
     assert found.time_s.value == pytest.approx(0.7 * math.log(2) / rate, rel=1e-9)
     assert found.period_s.value == pytest.approx(1.4, rel=1e-12)
 
@@ -99,7 +99,7 @@ def test_a_missing_half_cycle_at_the_level_is_said_and_a_start_just_below_it_car
     for decayed, missing in ((without(points, np.array([gone])), 1), (exponential(5.95, 0.01, 100), 0)):
         found = damping(decayed, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
         assert found.missing == missing
-        assert found.half_cycles.value == pytest.approx(50 * math.log(2), rel=1e-9)
+        assert found.swings.value == pytest.approx(50 * math.log(2), rel=1e-9)
 
 
 def test_places_and_ratio() -> None:

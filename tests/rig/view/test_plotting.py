@@ -128,7 +128,7 @@ def test_axes_hold_a_trajectory_that_rests_far_from_zero_and_grow_with_a_release
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
     stream = Mock()
-    RunLanes(stream).draw(kind)
+    RunLanes(stream).plot(kind)
     changed = {call.args[0] for call in stream.log.call_args_list if isinstance(call.args[1], rr.StateChange)}
     assert changed == {f"/{lane}" for lane in lanes}
 
