@@ -7,6 +7,7 @@ but as much as ever of the law's parameters.
 """
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from math import hypot, log, pi
 from typing import NamedTuple
@@ -57,7 +58,8 @@ def fit_with_knocks(
     if near is None:
         # the first start costs as much as half of a fit, and is the same whether the drag has a prior or not
         by_data = replace(evidence, drag_s=None)
-        start = next(starts_of(ExactModel(points, pendulum, drag=drag, evidence=by_data)), None)
+        with suppress(DataError):
+            start = next(starts_of(ExactModel(points, pendulum, drag=drag, evidence=by_data)), None)
     contradicted = _contradicted_drag(
         points, pendulum, evidence, drag=drag, loss=loss, averaged=averaged, near=near, start=start
     )
