@@ -14,14 +14,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum
+from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
 from pydantic import BaseModel
 from rich.cells import cell_len
-from rich.console import Console
-from rich.table import Table as RichTable
 
 from processing.errors import ConfigurationError, RecordError
 
@@ -129,6 +128,8 @@ def _wrap(line: str, columns: int) -> str:
 
 def folded(text: str, columns: int, indent: int = 0) -> str:
     """A text broken between words, but not within a number such as `29 %` or `(1.2 ± 0.3) × 10⁻⁵`."""
+    if len(text) <= columns:
+        return text
     filled = textwrap.fill(
         _WITHIN_NUMBER.sub(_NO_BREAK_SPACE, text),
         columns,
@@ -232,7 +233,8 @@ _NUMBER_STARTS = tuple("0123456789−-+(<>–")
 _FILE_WIDTH = 170
 """Width of a table in a file or a pipe, in characters."""
 _GAP = 2
-"""Gap between columns; rich also counts it after the last one."""
+"""Gap between columns, which is also counted after the last one."""
+_BOLD = "\x1b[1m{}\x1b[0m"
 
 
 def screen_width() -> int:
@@ -248,17 +250,14 @@ def print_tables(tables: Sequence[Table]) -> None:
     """
     answer(tables=list(tables))
     width = screen_width()
-    console = Console(width=width, markup=False)
     for content in tables:
-        title = content.title
-        if title and content.head and not content.shown:
-            print_line(title)
+        if content.title and content.head:
+            print_line(content.title)
         for columns in _column_groups(content, width) if content.shown else ():
-            console.print(_rich_table(content, title, columns, width))
-            title = ""
+            print("\n".join(_aligned_lines(content, columns, width)))
         if content.note:
             print_line(content.note)
-        console.print()
+        print()
 
 
 def _column_groups(content: Table, width: int) -> list[list[int]]:
@@ -275,24 +274,28 @@ def _column_groups(content: Table, width: int) -> list[list[int]]:
     return groups
 
 
-def _rich_table(content: Table, title: str, columns: Sequence[int], width: int) -> RichTable:
+def _aligned_lines(content: Table, columns: Sequence[int], width: int) -> Iterator[str]:
+    """The lines of a group of columns, the headings first, bold at a terminal."""
     min_widths, widths = _min_widths(content), _natural_widths(content)
     while sum(widths[column] + _GAP for column in columns) > width:
         shrinkable = [column for column in columns if widths[column] > min_widths[column]]
         if not shrinkable:
             break
         widths[max(shrinkable, key=lambda column: widths[column])] -= 1
-    table = RichTable(title=title or None, title_justify="left", box=None, pad_edge=False)
-    for column in columns:
-        table.add_column(
-            content.head[column],
-            justify="right" if _is_numeric(content, column) else "left",
-            width=widths[column],
-        )
-    for row in content.shown:
-        lines = ((row[column].split("\n"), widths[column]) for column in columns)
-        table.add_row(*("\n".join(folded(line, size) for line in cell) for cell, size in lines))
-    return table
+    numeric = {column for column in columns if _is_numeric(content, column)}
+    emphasis = _BOLD if sys.stdout.isatty() else "{}"
+    for row in (content.head, *content.shown):
+        cells = [
+            [line for text in row[column].split("\n") for line in folded(text, widths[column]).split("\n")]
+            for column in columns
+        ]
+        for texts in zip_longest(*cells, fillvalue=""):
+            line = ""
+            for column, text in zip(columns, texts, strict=True):
+                padding = " " * (widths[column] - cell_len(text))
+                line += (padding + text if column in numeric else text + padding) + " " * _GAP
+            yield emphasis.format(line.rstrip())
+        emphasis = "{}"
 
 
 def _is_numeric(content: Table, column: int) -> bool:
