@@ -56,12 +56,12 @@ docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx -E -W --keep-going -q -c docs/site -b html . build/site
 
 bench: $(VENV)/.installed-test
-	-$(PIP) install --quiet ".[bench]"
+	-$(PIP) install --quiet --editable ".[bench]"
 	$(BIN)/python -m tests.benchmarks $(ARGS)
 
 # Every claim with its number: docs/validation.md and what it follows from. ARGS="--quick", ARGS="gum iso11146".
 validation: $(VENV)/.installed-test
-	-$(PIP) install --quiet ".[bench]"
+	-$(PIP) install --quiet --editable ".[bench]"
 	$(BIN)/python -m tests.validation $(ARGS)
 
 # Of what is committed, in dist; the Containerfile takes it from there.
