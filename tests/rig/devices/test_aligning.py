@@ -46,6 +46,15 @@ def coloured(picture: np.ndarray, colour: str) -> np.ndarray:
     return np.argwhere((picture == np.array(palette.rgba(colour)[:3])).all(axis=2))
 
 
+@pytest.mark.parametrize("shape", [(5, 7), (4, 6)], ids=["odd", "even"])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_background_is_the_median_of_all_pixels(
+    kind: type[np.unsignedinteger], shape: tuple[int, int]
+) -> None:
+    image = np.random.default_rng(5).integers(0, 200, shape).astype(kind)
+    assert figures(image, FULL_SCALE_DN).background == np.median(image) / FULL_SCALE_DN
+
+
 def test_crosshair_ellipse_and_saturation_stand_where_they_are() -> None:
     look = look_at(spot_at(100.0, 250.0, 400.0))
     picture = annotated_picture(look, SHAPE[1], SHAPE[0])
