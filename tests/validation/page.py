@@ -20,7 +20,7 @@ with the commit that it was measured on.
     make validation ARGS="gum iso11146"     # those whose names begin like that
     make validation ARGS="--again gum-h1"   # also if this commit has a number
 
-Other programs come with `pip install -e ".[bench]"`, public data from the folder that `RIG_SHARED_DATA` names.
+Other programs come with `pip install -e ".[bench]"`, public data from the folder `RIG_SHARED_DATA`.
 """
 _FIGURE = (
     "![Shares of cases that intervals hold, for each fit](pictures/validation-coverage.svg)",
