@@ -187,7 +187,10 @@ class RollingReadout:
         `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside the region the nearest row
         is used.
         """
-        path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px)
+        # the spot's own place left out: rounding of hundreds of px would be a motion of a spot at rest
+        place_px = moving_px[:, 0]
+        path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px - place_px[:, None])
+        path[:, 0] += place_px
         fraction = np.full(len(path), 0.5)
         for _ in range(_FIXED_POINT_ITERATIONS):
             y_px = self._along(path, fraction)[:, 1]
