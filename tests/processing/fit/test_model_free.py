@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from processing.contact import spline_law
-from processing.contact.law_of_splines import MomentSplines
 from processing.fit import fit_exact, fit_model_free
 from tests.benchmarks.bench_without_law import true_moments
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -88,15 +87,3 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
             np.testing.assert_allclose(
                 gradient[:, place], numeric, rtol=1e-3, atol=2e-8 + 2e-4 * np.abs(numeric).max()
             )
-
-
-def test_elastic_work_is_the_integral_of_the_moment_down_to_rest() -> None:
-    """Below the smallest amplitude, too, where ln x has no end and the work has a closed form."""
-    lowest_rad, highest_rad = 10 * ARCSEC, 100 * ARCSEC
-    splines = MomentSplines(highest_rad, lowest_rad, highest_rad)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    for x in (0.02, 0.1):
-        # x = y^2, so that the logarithm at rest is smooth enough for the quadrature
-        y = 0.5 * np.sqrt(x) * (1 + nodes)
-        work = (0.5 * np.sqrt(x) * weights * 2 * y) @ splines.elastic(y**2)
-        np.testing.assert_allclose(splines.elastic_work(np.array([x]))[0], work, rtol=1e-5, atol=1e-8)

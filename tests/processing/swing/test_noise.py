@@ -38,6 +38,9 @@ def test_jitter_of_the_times(frames_per_s: float, jitter_s: float) -> None:
         true2 = 0.005**2 + (jitter_s * speed) ** 2
         # without jitter the smallest step, at a turning point, passed for rounding: 0.018
         assert np.mean(found.u_deflection**2) == pytest.approx(np.mean(true2), rel=0.2)
+        # sample by sample, so that the speeds are those of their own times
+        if jitter_s:
+            assert np.corrcoef(found.u_deflection, np.sqrt(true2))[0, 1] > 0.999
         assert len(found.u_deflection) == len(times_ns)
 
 
