@@ -112,7 +112,7 @@ def test_a_bent_ladder_is_found_out_and_corrected() -> None:
     z = abs(straight.skew) / straight.u_skew
     assert straight.chance_if_linear == pytest.approx(2 * ndtr(-z), rel=1e-3)
     noisy = ladder(readings)
-    noisy = replace(noisy, y_px=noisy.y_px + 0.1 * np.random.default_rng(2).standard_normal(11))
+    noisy = replace(noisy, y_px=noisy.y_px + 0.1 * np.random.default_rng(3).standard_normal(11))
     scattered = fit_ladder(noisy, "tilt")
     z = abs(scattered.skew) / scattered.u_skew
     assert scattered.chance_if_linear == pytest.approx(2 * stdtr(8, -z), rel=1e-3)

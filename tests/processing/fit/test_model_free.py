@@ -72,6 +72,13 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
     # another reference than the splines' own: the map answers in the one that it is given
     at = np.array([*friction, *elastic, drag, 0.9 * splines.unit_rad, 0.0, 1.3])
     index = np.arange(0, 120, 3)
+    # a decay that begins where another has come to goes on as that one does
+    whole = law.turning_points(np.array([*at[:-3], splines.unit_rad, 0.0, 1.3]), np.arange(61))
+    begun = whole.amplitude[30]
+    other = np.array([*friction / begun, *elastic, drag, begun * splines.unit_rad, 0.0, 1.0])
+    later = law.turning_points(other, np.arange(31))
+    np.testing.assert_allclose(whole.amplitude[30:], begun * later.amplitude, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(whole.time[30:]), np.diff(later.time), rtol=1e-6)
     found = law.turning_points(at, index)
     assert np.all(np.isfinite(found.time))
     for place in [*range(len(at) - 3), len(at) - 1]:

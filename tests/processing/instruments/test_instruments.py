@@ -260,6 +260,8 @@ def test_herbert_with_a_short_record() -> None:
     assert found.first_swing_times_ten_s.value == pytest.approx(7.0)
     # 50 divisions for the first amplitude, of which both turning points miss 1e-6 rad of 0.087 rad
     assert tuple(found.scale_hardness) == pytest.approx((50 * (1 + math.exp(-0.05)), 50 * 15.9e-6), rel=0.01)
+    uneven = replace(exponential(5.0, 0.05, 6), u_time_s=1e-4 * np.array([3.0, 4.0, 9.0, 9.0, 9.0, 9.0]))
+    assert herbert_hardness(uneven).first_swing_times_ten_s.standard_uncertainty == pytest.approx(5e-3)
     with pytest.raises(DataError, match="first swing was not seen whole"):
         herbert_hardness(exponential(5.0, 0.05, 1))
 

@@ -64,6 +64,7 @@ def test_whole_pixels() -> None:
         ([0, 1, 2], [1.0, 2.0, 3.0], "too few"),
         ([0, 1], [1.0], "of one length"),
         ([], [], "too few"),
+        (list(range(6)), [1.0, 2.0, 4.0, 8.0, 16.0, 31.0], "at least 7"),
         (list(range(20)), [2.0] * 20, "nothing moves"),
         ([5] * 20, list(range(20)), "too few"),
     ],
