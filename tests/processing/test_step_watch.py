@@ -39,17 +39,22 @@ def test_one_odd_value_is_no_step() -> None:
     assert steps_in(values) == []
 
 
+def kicks_in(growth: float, delay_s: float, missing: range) -> list[Step]:
+    """At the 30th turning point of an amplitude of 100, half a period of 2 s."""
+    rng, watch = np.random.default_rng(1), KickWatch(1.0)
+    index = np.delete(np.arange(60), missing)
+    later = index >= 30
+    amplitude = 100 + growth * later + rng.normal(0, 0.05, len(index))
+    time_s = 2.0 * index + delay_s * later + rng.normal(0, 5e-4, len(index))
+    rows = zip(index.tolist(), time_s, amplitude, strict=True)
+    return [kick for i, s, a in rows if (kick := watch.take(i, round(1e9 * s), float(a))) is not None]
+
+
 @pytest.mark.parametrize(("growth", "delay_s"), [(3.0, 0.0), (0.0, 0.02), (-3.0, 0.02)])
 def test_a_kick_is_the_amplitude_that_it_would_have_given_at_rest(growth: float, delay_s: float) -> None:
-    """Half a period of 2 s: a delay is the phase pi delay / 2 s, of an amplitude of 100."""
-    rng, watch = np.random.default_rng(1), KickWatch(1.0)
-    index = np.delete(np.arange(60), [33, 34, 35, 36])
-    later = index >= 30
-    amplitude = 100 + growth * later + rng.normal(0, 0.05, 56)
-    time_s = 2.0 * index + delay_s * later + rng.normal(0, 5e-4, 56)
-    taken = (
-        watch.take(int(i), round(1e9 * s), float(a)) for i, s, a in zip(index, time_s, amplitude, strict=True)
-    )
-    (kick,) = (step for step in taken if step)
+    """A delay is a phase, of pi in half a period."""
+    (kick,) = kicks_in(growth, delay_s, range(33, 37))
     assert kick.size == pytest.approx(math.hypot(growth, 100 * math.pi * delay_s / 2.0), abs=0.5)
-    assert kick.time_ns == pytest.approx(60e9 + 1e9 * delay_s, abs=2.1e9)
+    assert kick.time_ns == pytest.approx(60e9 + 1e9 * delay_s, abs=1e9)
+    # beyond four missing ones no line reaches back
+    assert kicks_in(growth, delay_s, range(33, 38)) == []

@@ -36,6 +36,6 @@ def test_a_lobe_is_found_where_it_is(lobe_dn: float) -> None:
     # a Gaussian of 3 px, smoothed by one of 0.33 of the beam's
     smoothed = 9 / (9 + 0.33**2 * 6 * 4)
     assert found.departure == pytest.approx(0.1 * smoothed, rel=0.05)
-    assert found.away_px == pytest.approx(13.0, abs=1.0)
+    assert found.away_px == pytest.approx(13.0, abs=0.3)
     assert found.away_sigmas == pytest.approx(found.away_px / math.sqrt(6 * 4))
     assert found.extra_light is (lobe_dn > 0)
