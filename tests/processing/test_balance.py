@@ -253,10 +253,12 @@ def test_a_balance_is_told_in_its_units_with_the_side_that_it_leans_to(side: flo
         last, unit=DeflectionUnit.RAD, rest_x=side * 3 * ARCSEC_RAD, rest_y=-side * 5 * ARCSEC_RAD,
         line_angle_rad=side * 0.1, rotation_rad_per_s=side * 0.01, u_rotation_rad_per_s=1e-4,
     )  # fmt: skip
-    checks = {one.name: one for one in balance_checks(balance, (side * 4e-6, 1e-6), BalanceLimits())}
+    checks = {
+        one.name: one for one in balance_checks(balance, (side * 4e-6, 1e-6), BalanceLimits(height_m=3e-6))
+    }
     values = [checks[name].value for name in ("rest position X", "rest position Y", "mass centre")]
     assert values == pytest.approx([3 * side, -5 * side, 4 * side])
-    assert checks["mass centre"].u_value == pytest.approx(1.0)
+    assert (checks["mass centre"].u_value, checks["mass centre"].limit) == pytest.approx((1.0, 3.0))
     assert checks["angle of the line"].value == pytest.approx(side * 18 / math.pi)
     # 0.01 rad/s is 0.6 rad a minute
     assert (checks["spin"].value, checks["spin"].u_value) == pytest.approx(

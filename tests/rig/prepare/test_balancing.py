@@ -13,7 +13,7 @@ import pytest
 from processing.balance import Balance, Turn
 from processing.spot import SpotFlag
 from rig.prepare import balancing
-from rig.prepare.balancing import SimulatedOperator, balance_rig, measure
+from rig.prepare.balancing import SimulatedOperator, _start_swing, balance_rig, measure
 from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement
 from tests.rig.prepare.random_starts import modelled_look, random_start
@@ -65,17 +65,34 @@ def test_answers_are_followed_and_a_swing_that_is_too_large_is_halved(
 
     monkeypatch.setattr(balancing, "measure", measured)
     told = Told("m", "x 60", "x -60", "z 1", "f", "m", "f", "x 0.5 -0.25", "q")
-    balance_rig(CONFIG, tmp_path / "history.jsonl", 0, 1, None, told)
+    assert balance_rig(CONFIG, tmp_path / "history.jsonl", 0, 2, None, told) == 1, "not balanced"
     assert told.words == [
         *("rejected", "rejected", "invalid", "invalid", "invalid", "forgotten"),
         *("sound", "forgotten", "sound", "sound"),
     ]
     initial = CONFIG.session.initial_amplitude_arcsec
     assert swings[:3] == [math.inf, 0.5 * initial, 0.25 * initial]
-    operator = SimulatedOperator(CONFIG, 1)
+    operator = SimulatedOperator(CONFIG, 2)
     assert states[:3] == [operator.simulation] * 3
     operator.follow(Turn("x", 0.5, "", -0.25))
     assert states[3].axes == operator.simulation.axes != states[2].axes
+
+
+@pytest.mark.parametrize(("swing_arcsec", "pulse_s"), [(math.inf, 0.2), (31.0, 0.05), (1.0, 0.01)])
+def test_the_starter_pushes_as_much_less_as_the_swing_is_to_be(
+    swing_arcsec: float, pulse_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For the whole amplitude of 124 arcsec 0.2 s, and never less than 0.01 s."""
+    start = CONFIG.start.model_copy(update={"way": "starter", "starter_pulse_s": 0.2})
+    session = CONFIG.session.model_copy(update={"initial_amplitude_arcsec": 124.0})
+    config = CONFIG.model_copy(update={"start": start, "session": session})
+    pulses: list[float] = []
+    starter = SimpleNamespace(starter_pulse=pulses.append)
+    control = SimpleNamespace(submit=lambda command: command(starter))
+    devices: Any = SimpleNamespace(required_control=lambda _: control)
+    monkeypatch.setattr(balancing, "wait_for_command", lambda _: None)
+    assert _start_swing(config, devices, swing_arcsec) == 0.0
+    assert pulses == pytest.approx([pulse_s])
 
 
 def test_the_spots_that_were_lost_or_cut_are_a_share_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
