@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, stdtr
 
 from calibration.ladder import LadderSteps, scale_posterior, solve_ladder
 from calibration.lever_fit import check_scale, fit_ladder, lever_from_shifts, lever_from_tilts, moved_between
@@ -102,8 +103,19 @@ def test_a_bent_ladder_is_found_out_and_corrected() -> None:
     assert abs(fit.skew - 0.5) < 4 * fit.u_skew
     lever = lever_from_tilts(fit, PITCH_M)
     assert abs(lever.arm_m - 1.0) < 4 * lever.u_arm_m
+    assert lever.skew == fit.skew
+    assert (lever.reference_x_px, lever.reference_y_px) == pytest.approx((160.0, 300.0), abs=0.1)
     straight = fit_ladder(ladder(readings), "tilt")
     assert not straight.nonlinear
+    assert lever_from_tilts(straight, PITCH_M).skew == 0.0
+    # two-sided, of a normal deviate; of Student's t where eleven steps, less origin, scale, skew, scatter
+    z = abs(straight.skew) / straight.u_skew
+    assert straight.chance_if_linear == pytest.approx(2 * ndtr(-z), rel=1e-3)
+    noisy = ladder(readings)
+    noisy = replace(noisy, y_px=noisy.y_px + 0.1 * np.random.default_rng(3).standard_normal(11))
+    scattered = fit_ladder(noisy, "tilt")
+    z = abs(scattered.skew) / scattered.u_skew
+    assert scattered.chance_if_linear == pytest.approx(2 * stdtr(8, -z), rel=1e-3)
 
 
 def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> None:
@@ -137,9 +149,11 @@ def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     steps = ladder(NINE)
     y_px = steps.y_px.copy()
     y_px[7] += 1.0
-    fit = fit_ladder(replace(steps, y_px=y_px), "tilt")
+    x_px = steps.x_px + 0.1 * np.random.default_rng(4).standard_normal(9)
+    fit = fit_ladder(replace(steps, x_px=x_px, y_px=y_px), "tilt")
     assert any("step 8 is probably wrong" in note for note in fit.notes)
-    assert any("scatter" in note for note in fit.notes)
+    assert any("along the motion; a cubic part or a wrong step explains" in note for note in fit.notes)
+    assert any("across the motion; uncertainties were enlarged" in note for note in fit.notes)
     assert int(np.argmax(np.abs(fit.residual_px[:, 1]))) == 7
     assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
 
@@ -206,7 +220,11 @@ def test_degrees_of_freedom_and_doubt_of_the_skew_are_part_of_the_lever() -> Non
     assert lever_from_tilts(quiet, PITCH_M).u_skew == quiet.u_skew
     noisy = ladder(NINE)
     noisy = replace(noisy, y_px=noisy.y_px + 0.05 * np.random.default_rng(2).standard_normal(9))
-    assert lever_from_tilts(fit_ladder(noisy, "tilt"), PITCH_M).arm_dof == pytest.approx(7.0)
+    plain = fit_ladder(noisy, "tilt")
+    assert lever_from_tilts(plain, PITCH_M).arm_dof == pytest.approx(7.0)
+    # Welch and Satterthwaite: a reference as uncertain as the ladder doubles the variance, and has no scatter
+    same = fit_ladder(noisy, "tilt", u_reference_relative=plain.u_scale / plain.scale)
+    assert (same.u_scale, same.scale_dof) == pytest.approx((math.sqrt(2) * plain.u_scale, 4 * 7.0))
     # tilts to one side mostly: a sensor askew by the doubt of its tilt would look like another scale
     lopsided = ladder(np.linspace(-10, 300, 9).tolist(), skew=0.05)
     fit = fit_ladder(replace(lopsided, u_reference=np.full(9, 0.02 * ARCSEC_RAD)), "tilt")
@@ -218,7 +236,9 @@ def test_shifts_give_the_pitch() -> None:
     shift = np.linspace(-3e-4, 3e-4, 7)
     ones = np.ones(7)
     steps = LadderSteps(shift, 0 * ones, 100 + 0 * ones, 200 + shift / PITCH_M, 0.01 * ones, 0.01 * ones)
-    lever = lever_from_shifts(fit_ladder(steps, "shift"), 1.0, 1e-3)
+    fit = fit_ladder(steps, "shift")
+    lever = lever_from_shifts(fit, 1.0, 1e-3)
+    assert lever.u_pixel_pitch_m == pytest.approx(PITCH_M * fit.u_scale * PITCH_M, rel=1e-6)
     assert lever.pixel_pitch_m == pytest.approx(PITCH_M, rel=1e-9)
     assert lever.u_scale_relative > 1e-3
 
@@ -247,5 +267,10 @@ def test_a_lever_that_moved_is_flagged_and_what_both_checks_share_does_not_hide_
     lever = lever_from_tilts(fit_ladder(ladder(NINE, seed=5), "tilt"), PITCH_M)
     for arm_m, moved in ((1.0, False), (1.002, True)):
         assert check_scale(lever, fit_ladder(ladder(NINE, arm_m=arm_m, seed=6), "tilt")).moved is moved
+    fit = fit_ladder(ladder(NINE, seed=6), "tilt")
+    halved = check_scale(lever.model_copy(update={"arm_m": 2.0, "u_arm_m": 0.0}), fit)
+    assert halved.ratio == pytest.approx(0.5, rel=1e-3)
+    assert halved.u_both == halved.u_ratio == pytest.approx(0.5 * fit.u_scale * PITCH_M, rel=1e-3)
+    assert moved_between((2.0, 5e-3), (2.0, 5e-3), 2e-3)[1] == pytest.approx(math.sqrt(2 * (25 - 16)) * 1e-3)
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3))[2] is False
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3), 1e-3)[2] is True

@@ -138,7 +138,12 @@ def test_light_that_falls_off_to_the_sides_is_no_prnu_and_leaves_its_uncertainty
         found = photon_transfer(
             [(frame(one), frame(one)) for one in levels_dn], [frame(0.0), frame(0.0)], 4095
         )
-        assert found.u_prnu < 3e-4
+        # of a mean of two with 28² DN² of response, half of 1126 DN² of noise, and the dark frames' 3 DN²
+        u2_spatial = 2 / 4096 * ((784 + 563 + 3) ** 2 + 563**2)
+        assert found.u_prnu == pytest.approx(np.sqrt(u2_spatial) / (2 * 28 * 2800), rel=0.1)
+        # the dark frames' variance scatters by sqrt(2/4095) of itself
+        u_read = np.hypot(np.sqrt(0.5 / 4095), found.u_gain_e_per_dn / found.gain_e_per_dn)
+        assert found.u_read_noise_e / found.read_noise_e == pytest.approx(u_read, rel=0.05)
         z.append((found.prnu - 0.01) / found.u_prnu)
     assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
 

@@ -13,6 +13,7 @@ from processing.balance import (
     Balance,
     BalanceEstimator,
     BalanceLimits,
+    Room,
     WeightResponses,
     balance_checks,
     mass_centre_height_m,
@@ -243,3 +244,43 @@ def test_a_mass_centre_too_high_swings_slowly() -> None:
     slow = mass_centre_height_m(4.071 * 1.001, inertia, mass, radius, gravity)
     # l goes with 1/T^2: 0.1 % of the period is 0.2 % of the arm
     assert slow == pytest.approx(0.002 * radius, rel=0.01)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_balance_is_told_in_its_units_with_the_side_that_it_leans_to(side: float) -> None:
+    (last, *_) = WHOLE
+    balance = replace(
+        last, unit=DeflectionUnit.RAD, rest_x=side * 3 * ARCSEC_RAD, rest_y=-side * 5 * ARCSEC_RAD,
+        line_angle_rad=side * 0.1, rotation_rad_per_s=side * 0.01, u_rotation_rad_per_s=1e-4,
+    )  # fmt: skip
+    checks = {
+        one.name: one for one in balance_checks(balance, (side * 4e-6, 1e-6), BalanceLimits(height_m=3e-6))
+    }
+    values = [checks[name].value for name in ("rest position X", "rest position Y", "mass centre")]
+    assert values == pytest.approx([3 * side, -5 * side, 4 * side])
+    assert (checks["mass centre"].u_value, checks["mass centre"].limit) == pytest.approx((1.0, 3.0))
+    assert checks["angle of the line"].value == pytest.approx(side * 18 / math.pi)
+    # 0.01 rad/s is 0.6 rad a minute
+    assert (checks["spin"].value, checks["spin"].u_value) == pytest.approx(
+        (side * 108 / math.pi, 1.08 / math.pi)
+    )
+    told = [checks[name].meaning for name in ("rest position X", "rest position Y", "mass centre")]
+    assert ["+X" in told[0], "+Y" in told[1], "too high" in told[2]] == [side > 0, side < 0, side > 0]
+    assert ("back from X" in checks["angle of the line"].meaning) == (side > 0)
+
+
+def test_the_largest_swing_ends_at_the_nearest_edge_less_twice_the_uncertainty() -> None:
+    """A rectangle to 90 and 50 arcsec, turned by 3-4-5; the pendulum swings along Y."""
+    normals = np.array([[0.8, 0.6], [-0.8, -0.6], [-0.6, 0.8], [0.6, -0.8]])
+    room = Room(normals, np.array([90.0, 90.0, 50.0, 50.0]))
+    rest, u = np.array([10.0, 5.0]), np.array([3.0, 1.0])
+    # from (10, 5): 79, 101, 52, 48; u across: hypot(2.4, 0.6), hypot(1.8, 0.8)
+    nearest = (48 - 2 * math.hypot(1.8, 0.8)) / 0.8
+    assert room.largest_swing_arcsec(rest, u) == pytest.approx(nearest)
+    # without a swing to be had, how far the spot is beyond the edge
+    beyond = 90 - (80 + 24) - 2 * math.hypot(2.4, 0.6)
+    assert room.largest_swing_arcsec(np.array([100.0, 40.0]), u) == pytest.approx(beyond)
+    upright = Room(np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([20.0, 60.0]))
+    assert upright.largest_swing_arcsec(np.array([5.0, 10.0]), 0 * u) == pytest.approx(50.0)
+    assert upright.holds(np.array([19.0, 59.0]))
+    assert not upright.holds(np.array([19.0, 61.0]))

@@ -28,7 +28,6 @@ def other_slopes_now_and_then(rng: np.random.Generator) -> NDArray[np.float64]:
     return 0.1 * np.cumsum(slopes) + rng.standard_normal(N)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "least", "most"),
     [(white, 0.6, 1.2), (random_walk, 0.7, 1.4), (other_slopes_now_and_then, 0.6, 1.4)],

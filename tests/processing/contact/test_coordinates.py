@@ -111,6 +111,14 @@ def test_a_parameter_at_the_end_of_its_range_is_named(points: TurningPoints, dra
         # far from the reference amplitude b is unlike any that was searched
         limited = columns.at_limit(columns.from_physical({**VALUES, "gamma_pa": 1.0, name: value}))
         assert set(limited) - {"b"} == {name}
+    # T is longer by 1/sqrt(q), and adhesion takes 1 - q of the stiffness: it may leave an eighteenth of it
+    period_s = columns_of(points, drag=False).from_physical(VALUES)[-2]
+    taken = 1 - (VALUES["period0_s"] / period_s) ** 2
+    for times, named in ((17.5, False), (18.5, True)):
+        limited = columns.at_limit(
+            columns.from_physical({**VALUES, "gamma_pa": VALUES["gamma_pa"] * (1 - 1 / times) / taken})
+        )
+        assert ("gamma_pa" in limited) is named
     at = columns.from_physical(VALUES)
     at[0] = columns.upper[0]
     at[4] = 0.0  # without adhesion the rate of loss is its own column

@@ -7,6 +7,7 @@ import pytest
 
 from processing.contact.law import ContactParameters
 from processing.contact.laws import DRAG, PAPER
+from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
@@ -33,6 +34,23 @@ def test_asymptotic_fit_has_its_known_bias(flat: str) -> None:
     of_amplitudes = np.sqrt(2 / np.pi) * np.mean(noisy.u_amplitude / noisy.amplitude)
     of_times = np.sqrt(4 / np.pi) * np.mean(noisy.u_time_s) / parameters.period0_s
     assert (found.arae_decay, found.arae_period) == pytest.approx((of_amplitudes, of_times), rel=0.1)
+    # four parameters of the amplitudes, three of the periods, which are two fewer
+    assert found.dof == 2 * len(noisy) - 2 - 7
+    assert found.cost == pytest.approx(0.5 * found.chi2_per_dof * found.dof)
+    assert found.chi2_per_dof == pytest.approx(1.0, abs=0.2)
+    # half of the errors stated: the scatter is the same
+    half = replace(noisy, u_amplitude=0.5 * noisy.u_amplitude, u_time_s=0.5 * noisy.u_time_s)
+    scatter = fit_asymptotic(half, pendulum).standard_uncertainty
+    np.testing.assert_allclose(scatter, found.standard_uncertainty, rtol=0.1)
+    # a wild time spoils the periods of its neighbours
+    amplitude, time_s = noisy.amplitude.copy(), noisy.time_s.copy()
+    amplitude[10] += 20 * noisy.u_amplitude[10]
+    time_s[50] += 20 * noisy.u_time_s[50]
+    spoilt = fit_asymptotic(replace(noisy, amplitude=amplitude, time_s=time_s), pendulum)
+    assert {10, 49, 51} <= set(spoilt.outliers)
+    stated = fit_asymptotic(noisy, pendulum, exact=fit_exact(noisy, pendulum)).bias
+    assert stated is not None
+    assert 100 * stated["c"] / parameters.c == pytest.approx(KNOWN_BIAS[flat][1], abs=1.0)
 
 
 @pytest.mark.slow
@@ -180,7 +198,6 @@ def test_mean_period_is_known_where_period0_is_not() -> None:
         assert result.estimate("period0_s").standard_uncertainty > 20 * u_mean
 
 
-@pytest.mark.slow
 def test_stated_uncertainties_of_eqs_5_and_6_are_the_scatter() -> None:
     """Ten seeded runs; those of the exact fit and of its intervals are a row of docs/validation.md."""
     parameters, pendulum = paper_pair("glass_k8")
@@ -200,6 +217,8 @@ def test_drag_appears_in_the_result() -> None:
         assert result.has_drag
         assert DRAG.key in result.estimates()
         assert result.parameters.drag_s == pytest.approx(1e-3, rel=0.3)
+    held = fit_asymptotic(points, pendulum, drag=True, known_drag=Estimate(2e-3, 1e-8))
+    assert held.parameters.drag_s == pytest.approx(2e-3, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from processing.contact import spline_law
-from processing.contact.law_of_splines import MomentSplines
 from processing.fit import fit_exact, fit_model_free
 from tests.benchmarks.bench_without_law import true_moments
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -73,6 +72,13 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
     # another reference than the splines' own: the map answers in the one that it is given
     at = np.array([*friction, *elastic, drag, 0.9 * splines.unit_rad, 0.0, 1.3])
     index = np.arange(0, 120, 3)
+    # a decay that begins where another has come to goes on as that one does
+    whole = law.turning_points(np.array([*at[:-3], splines.unit_rad, 0.0, 1.3]), np.arange(61))
+    begun = whole.amplitude[30]
+    other = np.array([*friction / begun, *elastic, drag, begun * splines.unit_rad, 0.0, 1.0])
+    later = law.turning_points(other, np.arange(31))
+    np.testing.assert_allclose(whole.amplitude[30:], begun * later.amplitude, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(whole.time[30:]), np.diff(later.time), rtol=1e-6)
     found = law.turning_points(at, index)
     assert np.all(np.isfinite(found.time))
     for place in [*range(len(at) - 3), len(at) - 1]:
@@ -88,15 +94,3 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
             np.testing.assert_allclose(
                 gradient[:, place], numeric, rtol=1e-3, atol=2e-8 + 2e-4 * np.abs(numeric).max()
             )
-
-
-def test_elastic_work_is_the_integral_of_the_moment_down_to_rest() -> None:
-    """Below the smallest amplitude, too, where ln x has no end and the work has a closed form."""
-    lowest_rad, highest_rad = 10 * ARCSEC, 100 * ARCSEC
-    splines = MomentSplines(highest_rad, lowest_rad, highest_rad)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    for x in (0.02, 0.1):
-        # x = y^2, so that the logarithm at rest is smooth enough for the quadrature
-        y = 0.5 * np.sqrt(x) * (1 + nodes)
-        work = (0.5 * np.sqrt(x) * weights * 2 * y) @ splines.elastic(y**2)
-        np.testing.assert_allclose(splines.elastic_work(np.array([x]))[0], work, rtol=1e-5, atol=1e-8)

@@ -1,11 +1,14 @@
 """Terms beside a law, against generalised least squares written out with dense matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.fit import LinearisedFit, Term, fit_exact
+from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.terms import RestrictedLikelihood, solve
 from tests.processing.fit.decays import decay, paper_pair
 
@@ -91,3 +94,27 @@ def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
         np.testing.assert_allclose(fit.u_inflation, at.fit.u_inflation * wider, rtol=1e-9)
     with pytest.raises(DataError, match="do not determine nothing"):
         at.with_terms(Term("nothing", np.zeros(len(at.residuals))))
+
+
+def test_an_interval_is_students_and_of_a_factor_where_the_logarithm_is_normal() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=60)
+    found = fit_asymptotic(points, pendulum)
+    twos = np.full(len(found.values), 2.0)
+    fit = replace(found, degrees_of_freedom=10, values=twos, covariance=np.diag(0.125 * twos))
+    # tabulated: 97.5 % of Student's t of 10 degrees of freedom
+    reach = 0.5 * 2.228139
+    assert fit.interval("p") == pytest.approx((2 - reach, 2 + reach))
+    assert fit.interval("b") == pytest.approx((2 * np.exp(-reach / 2), 2 * np.exp(reach / 2)))
+    assert replace(fit, values=-fit.values).interval("b") == pytest.approx((-2 - reach, -2 + reach))
+    changes = np.zeros((len(fit.values), 2))
+    changes[0], changes[2] = [1.5, 2.0], [0.0, np.inf]
+    by_term = replace(fit, terms={"term": changes}).covariance_by("term")
+    assert (by_term[0, 0], by_term[2, 2], by_term[0, 2], by_term[1, 1]) == (6.25, np.inf, 0.0, 0.0)
+    # what was held has no uncertainty to be enlarged, what is open stays so
+    held = fit.covariance.copy()
+    held[1, 1], held[2, 2] = 0.0, np.inf
+    wider = replace(fit, covariance=held).with_term("term", np.where(np.isinf(changes), 1.0, changes))
+    assert wider.u_inflation is not None
+    assert wider.u_inflation[:3] == pytest.approx([np.sqrt(1 + 6.25 / 0.25), 1.0, 1.0])
+    assert (wider.covariance[0, 0], wider.covariance[2, 2]) == (6.5, np.inf)

@@ -1,6 +1,7 @@
 """Kinds of pendulum: table, values against known truths, coverage, bad input."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -157,13 +158,22 @@ def test_constant_friction_falls_in_equal_steps() -> None:
     # 1 - cos A differs from A^2/2 by A^2/12 of it
     assert law.moment.value == pytest.approx(q, rel=1e-5)
     assert law.exponent.value == pytest.approx(0, abs=1e-4)
-    found = rolling_friction(points, Estimate(0.02, 0.0), Estimate(0.002, 0.0))
+    found = rolling_friction(points, Estimate(0.02, 2e-4), Estimate(0.002, 6e-5))
     assert found.coefficient.value == pytest.approx(10 * q, rel=1e-4)
+    assert found.coefficient.standard_uncertainty == pytest.approx(10 * q * math.hypot(0.01, 0.03), rel=1e-3)
+    # from g exp(d/2) to g exp(-d/2) in two half-swings, 4 q in all
+    assert found.decrement.value == pytest.approx(2 * math.asinh(2 * q / law.reference_rad), rel=1e-4)
+    mean, u_mean = law.mean_moment
+    assert found.decrement.standard_uncertainty / found.decrement.value == pytest.approx(u_mean / mean)
+    assert re.search(r"± 0\.0*[1-9]\d\)$", found.sentences[1]), "two digits of the uncertainty"
     assert "is not constant" in found.sentences[0]
     assert "is independent of speed" in found.sentences[1]
     # what is lost is known better than moment and exponent, which are estimated together
     noise = 1e-9 * np.random.default_rng(1).standard_normal((20, 60))
     short = points.first(60)
+    assert fit_friction_law(points.first(6)).moment.value == pytest.approx(q, rel=1e-3)
+    with pytest.raises(DataError, match="5 usable turning points, at least 6"):
+        fit_friction_law(points.first(5))
     laws = [fit_friction_law(replace(short, amplitude=short.amplitude + one)) for one in noise]
     means, u = zip(*(one.mean_moment for one in laws), strict=True)
     assert np.std(means) / np.median(u) == pytest.approx(1, abs=0.5)
@@ -171,6 +181,9 @@ def test_constant_friction_falls_in_equal_steps() -> None:
 
 def test_no_coefficient_without_the_geometry_nor_of_a_decay_that_does_not_fall() -> None:
     assert rolling_friction(exponential(3.0, 0.01, 100), None, Estimate(2e-3, 0.0)).coefficient is None
+    for lever_m, radius_m in ((0.02, -2e-3), (-0.02, 2e-3)):
+        with pytest.raises(DataError, match="must be positive"):
+            rolling_friction(exponential(3.0, 0.01, 100), Estimate(lever_m, 0.0), Estimate(radius_m, 0.0))
     with pytest.raises(DataError, match="does not fall"):
         fit_friction_law(decay(np.linspace(0.01, 0.02, 20)))
 
@@ -247,6 +260,8 @@ def test_herbert_with_a_short_record() -> None:
     assert found.first_swing_times_ten_s.value == pytest.approx(7.0)
     # 50 divisions for the first amplitude, of which both turning points miss 1e-6 rad of 0.087 rad
     assert tuple(found.scale_hardness) == pytest.approx((50 * (1 + math.exp(-0.05)), 50 * 15.9e-6), rel=0.01)
+    uneven = replace(exponential(5.0, 0.05, 6), u_time_s=1e-4 * np.array([3.0, 4.0, 9.0, 9.0, 9.0, 9.0]))
+    assert herbert_hardness(uneven).first_swing_times_ten_s.standard_uncertainty == pytest.approx(5e-3)
     with pytest.raises(DataError, match="first swing was not seen whole"):
         herbert_hardness(exponential(5.0, 0.05, 1))
 

@@ -84,12 +84,16 @@ def test_what_a_map_names_can_have_any_value() -> None:
 def test_a_learned_profile_leaves_them_out_too() -> None:
     rng = np.random.default_rng(4)
     extra = warm(rng)
-    tracker = SpotTracker(sensors(extra)[1])
+    tracker, cut = (SpotTracker(sensors(extra)[1]) for _ in range(2))
     spots, truth = [], []
     for k in range(300):
         x, y = place(k)
         beam = light(SHAPE, x, y, 5, 120) + light(SHAPE, x + 4, y - 3, 8, 40)
-        spot = tracker.track(exposed(beam + 30 * extra, rng, sensor=LIT_EIGHT_BIT))
+        image = exposed(beam + 30 * extra, rng, sensor=LIT_EIGHT_BIT)
+        spot = tracker.track(image)
+        # the map is of the sensor, also for a window
+        if k < 180:
+            assert abs(cut.track(image[7:, 12:], (12, 7), SHAPE).x_px - spot.x_px) < 0.03 * spot.u_x_px
         if tracker.model is not None:
             spots.append(spot)
             truth.append((x, y))

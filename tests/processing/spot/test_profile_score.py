@@ -58,7 +58,6 @@ def seen() -> Floats:
     return expected(off) + np.random.default_rng(2).standard_normal((NY, NX))
 
 
-@pytest.mark.slow
 def test_gradient_and_information() -> None:
     mu, pixels = expected(P), seen()
     light = np.maximum(mu - expected(P * [0, 1, 1, 1, 1, 1]), 0)

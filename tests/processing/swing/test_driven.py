@@ -10,6 +10,7 @@ import pytest
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.swing import HalfCycleFlag, KnownMotion
+from processing.swing.prediction import DrivenWalk
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.swing.truth import Errors, Record, air, damped_sinusoid, detect, errors, rms
@@ -125,3 +126,19 @@ def test_without_drive_nothing_is_learned() -> None:
     half_cycles = [s for s in detect(record) if not s.flags]
     u = np.array([h.u_amplitude for h in half_cycles[50:]])
     assert u.max() < 1.1 * 0.005 * math.sqrt(2 / (25.0 * 4.072 / 2))
+
+
+def test_the_variance_of_a_drive_is_learned_from_both_differences() -> None:
+    """Ratios of 9 and 8 to their variances: running means over 16 half-cycles exceed 4 at the third."""
+    walk = DrivenWalk()
+    assert [walk.learn((3.0, -2.0), (1.0, 0.5), 0.5, rest_moves=False) for _ in range(3)] == [0, 0, 1]
+    # half of what both squares exceed their variances by
+    assert walk.variance == pytest.approx(0.5 * (13 - 1.5))
+    of_drive = 1 + np.square([0.33, 0.35, 0.37]) * 5.75 / 0.25
+    assert walk.inflation(0.5) == pytest.approx(tuple(np.sqrt(of_drive)))
+    # no difference counts as more than four standard deviations, in the mean of three
+    walk.learn((30.0, -30.0), (6.75, 6.25), 0.5, rest_moves=False)
+    assert walk.variance == pytest.approx(5.75 + 0.5 * (6.75 + 6.25) * (4**2 - 1) / 3)
+    # where a step is below a fifth of the resolution there is no drive
+    walk.learn((0.0, 0.0), (40.0, 40.0), 50.0, rest_moves=False)
+    assert (walk.variance, walk.inflation(50.0)) == (0.0, (1.0, 1.0, 1.0))

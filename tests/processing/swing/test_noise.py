@@ -38,6 +38,9 @@ def test_jitter_of_the_times(frames_per_s: float, jitter_s: float) -> None:
         true2 = 0.005**2 + (jitter_s * speed) ** 2
         # without jitter the smallest step, at a turning point, passed for rounding: 0.018
         assert np.mean(found.u_deflection**2) == pytest.approx(np.mean(true2), rel=0.2)
+        # sample by sample, so that the speeds are those of their own times
+        if jitter_s:
+            assert np.corrcoef(found.u_deflection, np.sqrt(true2))[0, 1] > 0.999
         assert len(found.u_deflection) == len(times_ns)
 
 
@@ -61,6 +64,7 @@ def test_whole_pixels() -> None:
         ([0, 1, 2], [1.0, 2.0, 3.0], "too few"),
         ([0, 1], [1.0], "of one length"),
         ([], [], "too few"),
+        (list(range(6)), [1.0, 2.0, 4.0, 8.0, 16.0, 31.0], "at least 7"),
         (list(range(20)), [2.0] * 20, "nothing moves"),
         ([5] * 20, list(range(20)), "too few"),
     ],

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from calibration import read_calibration
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, DataError
-from processing.fit import drag_verdict
+from processing.estimate import Estimate
+from processing.fit import FitMethod, MeasuredAir, drag_verdict
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.analysis.ambient import expected_drag
 from rig.instrument import complete, pendulum_on_ball
@@ -121,6 +123,30 @@ def test_areas_that_were_swapped_are_refused(
     with pytest.raises(DataError, match="s per m² of vanes, but vanes add drag: check which record"):
         calibrate_air(swapped, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(("slope", "said"), [(-2.1, "refused"), (-1.9, "hint"), (1.9, "hint"), (2.1, "")])
+def test_vanes_that_take_drag_away_are_refused_and_those_that_add_none_are_named(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slope: float, said: str
+) -> None:
+    """By two standard uncertainties of the slope, in either direction."""
+    fit = SimpleNamespace(evidence=SimpleNamespace(waveform="seen"), mean_period_s=Estimate(4.0, 1e-6))
+    run = SimpleNamespace(
+        fitted={FitMethod.EXACT: fit}, pendulum=pendulum_on_ball(complete(configuration(0.0))), points=None,
+        ambient=None, measured_again_on=1,
+    )  # fmt: skip
+    drag_s, per_area = Estimate(DRAG_S, 1e-5), Estimate(1e-3 * slope, 1e-3)
+    air = MeasuredAir(drag_s, per_area, {}, (), (), 1.0, 1, 0.5, 1.0)
+    monkeypatch.setattr("rig.prepare.air.analyse_record", lambda *_, **__: run)
+    monkeypatch.setattr("rig.prepare.air.air_of_vanes", lambda *_: air)
+    if said == "refused":
+        with pytest.raises(DataError, match=r"drags fall by 0\.0021 ± 0\.001 s per m² of vanes"):
+            calibrate_air(vanes, Filing(tmp_path / "c"))
+        return
+    notes = read_calibration(calibrate_air(vanes, Filing(tmp_path / "c")), "air").notes
+    assert any("the vanes add no significant drag" in note for note in notes) is (said == "hint")
+    assert any("at three" in note for note in notes)
+    assert len(notes) == 1 + (said == "hint"), "nothing else is to be said"
 
 
 @pytest.mark.slow

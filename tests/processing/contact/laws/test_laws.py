@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from processing.contact import AMPLITUDE, LAWS, TIME, Law
+from processing.contact.asymptotic import DecayStart, PeriodStart, StartValues
+from processing.contact.laws.paper import _propose_starts
 from processing.fit import fit_exact, identifiability
 from processing.fit.exact import starts_of
 from processing.fit.exact_model import ExactModel
@@ -93,3 +95,16 @@ def test_fits_start_within_the_range_of_their_law(law: Law, p: float) -> None:
         values = dict(zip(law.fit_names(), columns.physical(start)[0].tolist(), strict=True))
         for name, value in values.items():
             assert law.parameter(name).lower <= value <= law.parameter(name).upper, name
+
+
+def test_starts_of_the_papers_law_are_in_terms_of_gravity_s_stiffness() -> None:
+    """T0 a tenth longer than T: the rates are 1.21 times those of Eq. 5; then as if without adhesion."""
+    decay_of_eq5 = DecayStart(1.0, 0.02, 0.9, 0.01, 0.003)
+    start = StartValues(decay_of_eq5, [PeriodStart(4.4, 0.6, 0.07)], 4.0)
+    stiff, plain = _propose_starts(start, 0.0)
+    common = {"p": 0.9, "drag_s": 0.012 / np.pi}
+    softer = {"b": 0.0242, "c": 0.0121, "n": 0.6, "gamma_pa": 0.07, "period0_s": 4.4}
+    assert stiff == pytest.approx({**common, **softer})
+    assert plain == pytest.approx(
+        {**common, "b": 0.02, "c": 0.01, "n": 0.5, "gamma_pa": 0.0, "period0_s": 4.0}
+    )
