@@ -98,13 +98,13 @@ def test_numbers_stand_to_the_right_and_headings_are_bold_at_a_terminal(
 
 
 @pytest.mark.parametrize(
-    ("columns", "lines"), [(20, ["r  aa bb  cc dd ee"]), (17, ["r  aa bb  cc dd", "          ee"])]
+    ("columns", "lines"), [(20, ["r  aa bb  cc ddd e"]), (17, ["r  aa bb  cc", "          ddd e"])]
 )
 def test_the_widest_column_is_wrapped_first(
     columns: int, lines: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: columns)
-    print_tables([Table("t", "", ("", "x", "y"), [["r", "aa bb", "cc dd ee"]])])
+    print_tables([Table("t", "", ("", "x", "y"), [["r", "aa bb", "cc ddd e"]])])
     assert capsys.readouterr().out.splitlines()[1:-1] == lines
 
 
