@@ -125,6 +125,8 @@ def _law_fits(compared: LawComparison) -> dict[str, LawFit]:
 
 _MIN_PERIODS = 8
 """Fewest periods for a smooth curve."""
+_MAX_WEIGHT = 1e4
+"""Weight of the best period, with which the smoothing lies well within the bounds of its search."""
 _MIN_POINTS = 3
 """Fewest turning points of a run with curves."""
 
@@ -213,7 +215,9 @@ def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     x, first = np.unique(np.log(amplitude), return_index=True)
     if len(x) < _MIN_PERIODS:
         return np.full(len(amplitude), np.nan)
-    spline = make_smoothing_spline(x, periods.period_s[first], 1.0 / periods.u_period_s[first] ** 2)
+    u_s = periods.u_period_s[first]
+    # scipy's search ends at fixed bounds: with weights of 1e10 per s² it smooths nothing
+    spline = make_smoothing_spline(x, periods.period_s[first], _MAX_WEIGHT * (u_s.min() / u_s) ** 2)
     return np.asarray(spline(np.log(amplitude)))
 
 

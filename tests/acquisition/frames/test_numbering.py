@@ -67,6 +67,8 @@ def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
     frames, clock, notes, _ = joined(times)
     assert [frame.sequence for frame in frames] == [n for n in range(300) if n != 100]
     assert clock.rejected == 1
+    # the others keep theirs to the nanosecond
+    assert [frame.device_time_ns for frame in frames] == times[:100] + times[101:]
     assert len(notes) == 1
     assert off_ns(frames) < 20e3
 
@@ -410,7 +412,7 @@ def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> 
     first, _ = joined_one(line, 0, 10**12, HOST_NS)
     line.restart()
     again, note = joined_one(line, 0, 7, HOST_NS + 3 * 10**9)
-    assert (first.sequence, again.sequence) == (0, 1)
+    assert (first.sequence, again.sequence, first.device_time_ns) == (0, 1, 10**12)
     assert again.device_time_ns == first.device_time_ns + 3 * 10**9
     assert "opened again after 3.000 s" in note
 

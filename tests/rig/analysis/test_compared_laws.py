@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from processing.decay_summary import Periods
 from processing.errors import ConfigurationError
 from rig.analysis import compared_laws
 from rig.analysis.results import LawMoments, ModelFreeMoments
@@ -91,6 +92,20 @@ def test_the_runs_that_tell_two_laws_apart_by_three_u_are_proposed() -> None:
         free = ModelFreeMoments(phi_rad=phi, u_friction_n_m=u, u_elastic_n_m=u, laws=laws)
         found = compared_laws._remedy(free, "one", "other")
         assert found == f"they differ most in elastic moment at 40 arcsec{said}"
+
+
+def test_the_smooth_curve_of_the_periods_smooths_and_heeds_their_uncertainties() -> None:
+    """It went through every period, with the whole of its noise."""
+    x = np.linspace(0.0, 2.5, 201)
+    u, truth = 1e-5 * np.exp(-0.8 * x), 4.0 + 0.01 * x
+    measured = truth + u * np.random.default_rng(1).standard_normal(201)
+    # of ten periods next to nothing is known
+    u[100:110], measured[100:110] = 3e-4, truth[100:110] + 9e-4
+    smooth = compared_laws._smooth(np.exp(x), Periods(np.arange(201), measured, u))
+    off = (smooth - truth) / (1e-5 * np.exp(-0.8 * x))
+    # 18 free numbers would leave sqrt(18 / 201) of the noise
+    assert np.sqrt(np.mean(off**2)) < 0.3
+    assert abs(off[105]) < 0.5
 
 
 def test_an_unknown_law_is_named_with_those_that_there_are(measured_series: Path, tmp_path: Path) -> None:

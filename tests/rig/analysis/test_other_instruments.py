@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from typer.testing import CliRunner
 from processing.errors import ConfigurationError
 from processing.instruments import ValueWithSharedErrors
 from processing.instruments.descriptions import INSTRUMENTS
+from processing.swing import TurningPoints
 from rig.analysis import AnalysedRun, read_results
-from rig.analysis.other_instruments import Reduction
+from rig.analysis.other_instruments import Reduction, _friction_law
 from rig.analysis.series import instrument_series
 from rig.cli import app
 from rig.commands.table_fits import TableOptions, fit_several
@@ -317,3 +319,17 @@ def test_wrong_settings_are_one_line(override: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words.replace(".", r"\.")) as error:
         load_configuration(CONFIGS / "instruments" / "koenig.toml", [override])
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("first", "last", "windows"), [(7, 37, 15), (46, 205, 26)])
+def test_the_decrement_is_averaged_over_a_fortieth_of_the_half_cycles(
+    first: int, last: int, windows: int
+) -> None:
+    index = np.arange(first, last + 1, dtype=np.int64)
+    same = np.full(len(index), 1e-5)
+    points = TurningPoints(index, 2.0 * index, same, 0.1 * np.exp(-0.01 * index), same)
+    report = MagicMock(points=points, curves={})
+    _friction_law(MagicMock(reference_rad=0.05), MagicMock(), report)
+    # 159 half-cycles make windows of three cycles, 30 of one; a cycle has two half-cycles of 0.01
+    losses = report.curves["decrement"]["log_decrement"]
+    assert losses == pytest.approx(np.full(windows, 0.02))

@@ -13,7 +13,7 @@ import pytest
 
 from processing.errors import ConfigurationError, RecordError
 from processing.fit import Change, ChangeKind, DiscrepancySize
-from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
 from rig.analysis.run_values import StoredTurningPoints
 
@@ -158,3 +158,8 @@ def test_columns_of_different_lengths_are_one_line(tmp_path: Path) -> None:
     path.write_text("[" * 100_000)
     with pytest.raises(RecordError, match="is not JSON"):
         read_results(path)
+
+
+def test_combined_runs_are_counted_from_one_and_without_their_numbers_all_are() -> None:
+    assert Series(combined_runs=(2, 4)).combined("abcd") == ["b", "d"]
+    assert Series().combined("abcd") == "abcd"

@@ -19,12 +19,14 @@ from rig.archive import (
     check_archive,
     find_runs,
     list_runs,
+    listing,
     ordered_runs,
     query_runs,
     update_archive,
 )
 from rig.archive.listing import open_for_writing, write_sessions
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
+from rig.terminal import NOT_KNOWN
 from tests.rig.command_line import SAMPLES, rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -416,3 +418,11 @@ def test_runs_are_found_by_words(kept: Path) -> None:
     assert shown["sample"].startswith("SIMULATED: ")
     assert "±" in shown["c"]
     assert [len(find_runs(kept, words, 2).shown) for words in ("it's", "")] == [0, 2]
+
+
+def test_a_cell_has_the_whole_uncertainty_and_one_run_is_no_plural() -> None:
+    names = ("b", "u_b", "u_total_b", "c", "verdict_c", "upper_c", "temperature_c")
+    made = [0.0312, 0.001, 0.004, None, "upper bound", None, 21.53841]
+    one, two = (listing._table(names, rows) for rows in ([made], [made, made]))
+    assert (one.head, one.shown) == (["b", "c", "temperature_c"], [["0.0312 ± 0.0040", NOT_KNOWN, "21.538"]])
+    assert (one.note, two.note) == ("1 run", "2 runs")

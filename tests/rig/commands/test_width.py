@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,29 @@ def test_a_table_that_is_too_wide_goes_on_below(
 def test_a_table_without_a_line_for_the_user_is_its_note(capsys: pytest.CaptureFixture[str]) -> None:
     print_tables([Table("d", "Differences", ("", "chance"), [], "None is large.")])
     assert capsys.readouterr().out.split("\n")[:2] == ["Differences", "None is large."]
+
+
+@pytest.mark.parametrize("bold", [False, True])
+def test_numbers_stand_to_the_right_and_headings_are_bold_at_a_terminal(
+    bold: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: bold)
+    # the wide characters take two places; half of the last column are numbers
+    print_tables([Table("t", "", ("no", "value", "u"), [["日本", "1.5", "1"], ["b", "−20", "yy"]])])
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert head == ("\x1b[1mno    value  u\x1b[0m" if bold else "no    value  u")
+    assert lines[:2] == ["日本    1.5  1", "b       −20  yy"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "lines"), [(20, ["r  aa bb  cc ddd e"]), (17, ["r  aa bb  cc", "          ddd e"])]
+)
+def test_the_widest_column_is_wrapped_first(
+    columns: int, lines: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: columns)
+    print_tables([Table("t", "", ("", "x", "y"), [["r", "aa bb", "cc ddd e"]])])
+    assert capsys.readouterr().out.splitlines()[1:-1] == lines
 
 
 LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % of c ± 3 % in all"

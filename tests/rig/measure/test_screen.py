@@ -74,6 +74,7 @@ SWINGING = RunNow(Phase.MEASURING, elapsed_s=50.0, amplitude=123.0, amplitude_s=
         (RunNow(phase=Phase.MEASURING), RAD, ("age -",), "none"),
         # before the record no loss is counted, and none is denied
         (RunNow(phase=Phase.REST, frames=10), RAD, ("counted from the record on",), "0 frames dropped"),
+        (RunNow(phase=Phase.WARM_UP, frames=10), RAD, ("counted from the record on",), "0 frames dropped"),
         (RunNow(phase=Phase.REST, frame_age_s=0.01), RAD, ("counted from the record on",), "0 in all"),
         (MEASURING, RAD, ("124.000 arcsec", "to 2 arcsec"), " px"),
         # the final amplitude is configured in arcsec: amplitudes in px never reach it
@@ -100,6 +101,12 @@ def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
         step = RecordedClockStep(1, step_ns, 1000)
         now = now.with_contents(RecordContents(messages=[step]), RAD)
     assert now.clock == CameraClock(steps=3, largest_step_s=-0.13)
+
+
+def test_a_new_record_begins_with_what_the_rig_says_and_no_value_of_the_rejected_start() -> None:
+    names = ("light", "interlock", "trip", "darkness", "controller", "alarm")
+    of_rig = {"temperature_c": 21.5, "humidity_percent": 45.0, "pressure_pa": 99e3, **{n: n for n in names}}
+    assert replace(SWINGING, **of_rig).for_new_record() == RunNow(Phase.MEASURING, **of_rig)  # type: ignore[arg-type]
 
 
 def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:

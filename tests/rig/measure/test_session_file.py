@@ -320,6 +320,8 @@ def test_a_clock_that_was_set_back_ends_no_run_before_it_began(
         later.note(2, "run-2.mcap", RunState.INTERRUPTED)
     for entry in later.state.entries:
         assert entry.begun_utc <= entry.ended_utc
+    later.forget("run-1.mcap")
+    assert [entry.record for entry in read_session(tmp_path).entries] == ["run-2.mcap"]
 
 
 def test_a_disk_without_locks_is_not_called_a_running_session(

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -182,6 +183,16 @@ def test_a_run_too_short_for_the_waveform_is_refused(
     with pytest.raises(DataError, match="too short for the waveform"):
         calibrate_air(vanes, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
+
+
+def test_runs_of_two_pendulums_are_refused(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = [MagicMock(pendulum=number, ambient=None) for number in (1, 2)]
+    monkeypatch.setattr("rig.prepare.air.analyse_record", MagicMock(side_effect=runs))
+    monkeypatch.setattr("rig.prepare.air.expected_drag", MagicMock())
+    with pytest.raises(DataError, match="its runs are of different pendulums: mass, ball or flat"):
+        calibrate_air(vanes, Filing(tmp_path / "c"))
 
 
 def test_the_air_acts_once_on_a_pendulum_on_two_balls() -> None:
