@@ -84,11 +84,14 @@ class Page:
         # a dialog that is just opening still moves
         middle = "[Math.round(r.x + r.width / 2), Math.round(r.y + r.height / 2)]"
         spot = f"(r => {middle})({element}.getBoundingClientRect())"
-        self.ask(f"{element}.scrollIntoView({{block: 'center'}})")
-        self.wait(
+        self.ask(f"{element}?.scrollIntoView({{block: 'center'}})")
+        is_free = (
             "!document.querySelector('[class*=enter-active]') && "
             f"{element}.contains(document.elementFromPoint(...{spot}))"
         )
+        # the click before may be heard only now; and a click beside a dialog that moved closes it
+        if self.wait(f"{HIT} === 1 || {element} == null ? 'over' : {is_free} && 'free'") == "over":
+            return
         self.ask(f"{element}.addEventListener('click', () => {{ {HIT} = 1 }}, {{capture: true, once: true}})")
         x, y = self.ask(spot)
         for kind in ("mousePressed", "mouseReleased"):
@@ -125,9 +128,12 @@ class Page:
             self.ask(f"{button}?.click()")
             # the try before may have done it meanwhile, and there is nothing more to ask
             if self.wait(f"{IN_DIALOG} != null ? 'ask' : {button} == null ? 'done' : null") == "ask":
-                self.point_at(IN_DIALOG)
-                self.wait(f"document.querySelector('.errors > *, .q-notification') || {button} == null")
+                self.wait_while(f"{HIT} === 1 || {IN_DIALOG} == null", lambda: self._aim_at(IN_DIALOG))
+                if self.ask(f"(hit => (delete {HIT}, hit))({HIT} === 1)"):
+                    self.wait(f"document.querySelector('.errors > *, .q-notification') || {button} == null")
 
+        # news of the trip may come later than what follows from it
+        self.wait(f"{button} != null")
         self.wait_while(f"{button} == null", ask)
 
     def type(self, text: str) -> None:
