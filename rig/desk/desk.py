@@ -193,7 +193,7 @@ class Desk:
         self.begin_aligning()
 
     def keep_camera_settings(self) -> None:
-        """Use the settings of the newest frame for all that this desk starts; RigError if they are not valid."""
+        """Use the newest frame's settings for all that this desk starts; RigError if they are not valid."""
         # those of the news may be older than the frame that an operator sees
         frame = self.follower.frame
         applied = self.follower.applied if frame is None else frame.applied
