@@ -193,11 +193,12 @@ class Desk:
         self.begin_aligning()
 
     def keep_camera_settings(self) -> None:
-        """Use the newest frame's settings for all that this desk starts; RigError if they are not valid."""
-        # those of the news may be older than the frame that an operator sees
+        """Use the settings of the newest frame, if there is one, for all that this desk starts.
+
+        Raises RigError if they are not valid.
+        """
         frame = self.follower.frame
-        applied = self.follower.applied if frame is None else frame.applied
-        values = applied.model_dump(exclude_none=True)
+        values = {} if frame is None else frame.applied.model_dump(exclude_none=True)
         own = {
             f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
         }

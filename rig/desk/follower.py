@@ -131,11 +131,6 @@ class RigFollower:
         return self.news.get("state") or {}
 
     @property
-    def applied(self) -> CameraSettings:
-        """Settings of the camera as last read back."""
-        return CameraSettings.model_validate((self.news.get("camera") or {}).get("applied") or {})
-
-    @property
     def frames_age_s(self) -> float:
         """Age in s of the last frame that the program has processed; 0 before the first frame."""
         age_s = self.news.get("frames_age_s")

@@ -204,7 +204,8 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, align_keys: str)
         await order(f"set {json.dumps({name: value})}")
 
     def hint() -> None:
-        value = None if desk.live_picture is None else getattr(desk.follower.applied, name)
+        frame = None if desk.live_picture is None else newest_frame(desk)
+        value = None if frame is None else getattr(frame.applied, name)
         placeholder = "" if value is None else f"now {value:.6g}"
         if field.props.get("placeholder") != placeholder:
             field.props(f'placeholder="{placeholder}"')

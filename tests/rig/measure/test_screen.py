@@ -105,8 +105,13 @@ def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
 
 def test_a_new_record_begins_with_what_the_rig_says_and_no_value_of_the_rejected_start() -> None:
     names = ("light", "interlock", "trip", "darkness", "controller", "alarm")
-    of_rig = {"temperature_c": 21.5, "humidity_percent": 45.0, "pressure_pa": 99e3, **{n: n for n in names}}
-    assert replace(SWINGING, **of_rig).for_new_record() == RunNow(Phase.MEASURING, **of_rig)  # type: ignore[arg-type]
+    of_rig: dict[str, Any] = {
+        "temperature_c": 21.5,
+        "humidity_percent": 45.0,
+        "pressure_pa": 99e3,
+        **{n: n for n in names},
+    }
+    assert replace(SWINGING, **of_rig).for_new_record() == RunNow(Phase.MEASURING, **of_rig)
 
 
 def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:
