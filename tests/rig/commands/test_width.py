@@ -11,6 +11,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from rig.terminal import Table, Verdict, print_line, print_tables, print_verdicts
+from rig.terminal.printing import folded
 from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, set_words
 from tests.rig.pseudo_terminal import rig_at_terminal
 
@@ -112,6 +113,10 @@ LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % o
 
 
 @pytest.mark.parametrize("columns", range(30, 60))
+def test_a_text_that_just_fits_is_not_folded() -> None:
+    assert [folded("ball on K8", columns) for columns in (10, 9)] == ["ball on K8", "ball on\nK8"]
+
+
 def test_no_line_ends_within_a_number(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -49,6 +49,7 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.wait_text("100 µs, gain")
         page.click("+")
         page.wait_text("125 µs, gain")
+        page.wait("document.querySelector('[data-key=\"camera.exposure_us\"]').placeholder === 'now 125'")
         page.click("Keep for runs")
         page.wait_text("camera.exposure_us = 125")
         # preflight gives the camera free and takes it itself
