@@ -25,7 +25,7 @@ driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=120.0)
 
 
 def main() -> None:
-    """All processes, of which each must succeed."""
+    """All processes, of which each must succeed; what failed is shown, and nothing else."""
     with tempfile.TemporaryDirectory() as folder:
         words = set_words({**SMALL, "session.max_duration_s": "70"})
         session = [
@@ -40,12 +40,14 @@ def main() -> None:
         ]
         tests = [sys.executable, "-m", "pytest", "--collect-only", "-qq", "-m", ""]
         programs = [session, [sys.executable, "-c", TWELVE_BITS_AND_MOTION], tests]
-        log = Path(folder) / "log"
-        with log.open("wb") as said:
-            running = [subprocess.Popen(program, stdout=said, stderr=said) for program in programs]
-            statuses = [process.wait() for process in running]
-        if any(statuses):
-            sys.exit(log.read_text())
+        logs = [Path(folder) / f"log-{number}" for number in range(len(programs))]
+        running = []
+        for program, log in zip(programs, logs, strict=True):
+            with log.open("wb") as said:
+                running.append(subprocess.Popen(program, stdout=said, stderr=said))
+        failed = [log for process, log in zip(running, logs, strict=True) if process.wait()]
+        if failed:
+            sys.exit("\n".join(log.read_text() for log in failed))
 
 
 if __name__ == "__main__":

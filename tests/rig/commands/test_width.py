@@ -112,11 +112,11 @@ def test_the_widest_column_is_wrapped_first(
 LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % of c ± 3 % in all"
 
 
-@pytest.mark.parametrize("columns", range(30, 60))
 def test_a_text_that_just_fits_is_not_folded() -> None:
     assert [folded("ball on K8", columns) for columns in (10, 9)] == ["ball on K8", "ball on\nK8"]
 
 
+@pytest.mark.parametrize("columns", range(30, 60))
 def test_no_line_ends_within_a_number(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
