@@ -302,7 +302,7 @@ def identifiability(
     """
     correlation = np.abs(result.correlation)
     undetermined = set[str]()
-    for cause, below_u in impossible_signs(result).items():
+    for cause, below_u in impossible_signs(result.law, result.estimates()).items():
         shifts_u = below_u * correlation[result.names.index(cause)]
         undetermined |= {
             name

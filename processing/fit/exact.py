@@ -17,11 +17,18 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_result import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, result_of
+from processing.fit.exact_result import (
+    FEWEST_HALF_CYCLES,
+    IMPOSSIBLE_U,
+    OUTLIER,
+    check_turning_points,
+    impossible_signs,
+    result_of,
+)
 from processing.fit.ground import GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
-from processing.least_squares import Loss, Solution, solve
+from processing.least_squares import Loss, Solution, propagate, solve
 from processing.number_text import plain
 from processing.swing import TurningPoints
 
@@ -149,8 +156,12 @@ def _largest_change_u(start: Floats, solution: Solution) -> float:
 def _likeliest_minimum(
     model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None, start: Floats | None
 ) -> _Minimum:
-    """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
+    """Likeliest minimum over the start values; the first possible one that fits the data is accepted.
+
+    One with a sign that cannot be is taken only where it is likelier by the square of `IMPOSSIBLE_U`.
+    """
     best: _Minimum | None = None
+    lowest, is_possible = np.inf, False
     start_count = 0
     known = [] if start is None else [_inside(model, start)]
     others = (other for other in starts_of(model) if start is None or not np.array_equal(other, start))
@@ -159,11 +170,14 @@ def _likeliest_minimum(
         minimum = _minimum_from(model, coordinates, loss, kind)
         if minimum is None:
             continue
-        if best is None or minimum.likeliest.deviance < best.likeliest.deviance:
-            best = minimum
+        worse = 0.0 if _has_possible_signs(minimum) else IMPOSSIBLE_U**2
+        # the restricted likelihood contains the information, which differs with the coordinates
+        deviance = minimum.likeliest.unrestricted + worse
+        if best is None or deviance < lowest:
+            best, lowest, is_possible = minimum, deviance, not worse
         evidence = best.model.evidence_rows(best.solution.values)[0]
         agrees = float(evidence @ evidence) <= _GOOD_EVIDENCE * (len(evidence) + 1)
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees:
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees and is_possible:
             break
     if not start_count:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -173,6 +187,18 @@ def _likeliest_minimum(
             "amplitudes, or they hardly show it: check for disturbed half-cycles, start at a larger amplitude"
         )
     return best
+
+
+def _has_possible_signs(minimum: _Minimum) -> bool:
+    """Whether no parameter that cannot be negative is so beyond chance, as in a minimum beside the law's.
+
+    A drive of the ground gives such a minimum a good chi-square, too.
+    """
+    model, solution = minimum.model, minimum.solution
+    values, slopes = model.parametrisation.physical(solution.values)
+    u = np.sqrt(np.diag(propagate(slopes, solution.covariance)))
+    estimates = {name: Estimate(*pair) for name, *pair in zip(model.names, values, u, strict=True)}
+    return not impossible_signs(model.law, estimates)
 
 
 def fit_exact(

@@ -12,10 +12,10 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
-from processing.contact.laws import AMPLITUDE, DRAG, TIME
+from processing.contact.laws import AMPLITUDE, DRAG, TIME, Law
 from processing.decay_summary import full_periods, mean_period_estimate
 from processing.errors import DataError
-from processing.estimate import FitMethod
+from processing.estimate import Estimate, FitMethod
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, Ground, GroundFit
@@ -33,7 +33,7 @@ OUTLIER = 5.0
 """Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
-_IMPOSSIBLE_U = 3.0
+IMPOSSIBLE_U = 3.0
 """Standard uncertainties below zero beyond which a negative value is no chance."""
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
@@ -374,14 +374,18 @@ def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall, fit: FitRes
             f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
-    for name, below_u in impossible_signs(fit).items():
+    for name, below_u in impossible_signs(fit.law, fit.estimates()).items():
         yield (
             f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below_u, 2)} u, which it "
             "cannot be: the law is not that of this motion"
         )
 
 
-def impossible_signs(fit: FitResult) -> dict[str, float]:
-    """Standard uncertainties by which parameters that cannot be negative are so, beyond chance."""
-    estimates = {name: fit.estimate(name) for name in fit.contact_names if fit.law.parameter(name).lower == 0}
-    return {name: -value / u for name, (value, u) in estimates.items() if value < -_IMPOSSIBLE_U * u}
+def impossible_signs(law: Law, estimates: Mapping[str, Estimate]) -> dict[str, float]:
+    """Standard uncertainties by which parameters of a law that cannot be negative are so, beyond chance."""
+    parameters = {parameter.key: parameter for parameter in law.parameters}
+    return {
+        name: -value / u
+        for name, (value, u) in estimates.items()
+        if name in parameters and parameters[name].lower == 0 and value < -IMPOSSIBLE_U * u
+    }

@@ -37,8 +37,8 @@ from processing.errors import DataError
 STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)
 """Scaling of gamma, which is fitted as kappa."""
 _P_RANGE = (-0.5, 5.0)
-_N_RANGE = (0.002, 5.0)
-"""Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
+_N_RANGE = (1e-5, 5.0)
+"""At n = 0 itself adhesion would be a spring, which only the term of R/a in Eq. 3 tells from gravity."""
 _MAX_STIFFNESS_RATIO = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
 which parameters are tried."""
@@ -133,27 +133,41 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
 
 
 def _propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    """Start values by Eqs. 5 and 6: for three exponents n that fit the periods best, then without adhesion.
+    """Start values by Eqs. 5 and 6: exponents n that fit the periods best, then without adhesion.
 
-    Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
-    converted to those of the exact map.
+    They are the best three, and the best with a positive gamma: with a small n the term of R/a in Eq. 3
+    resembles a negative gamma with n = 1. Eq. 5 neglects that adhesion reduces the restoring moment, so that
+    its rates are converted to those of the exact map.
     """
     decay, proposals = start.decay, []
-    for period in [*start.periods[:3], PeriodStart(start.mean_period_s, 0.5, 0.0)]:
-        stiffness = (period.period0_s / start.mean_period_s) ** 2
-        factor = stiffness if 0.3 < stiffness < 3 else 1.0
+    positive = [k for k, period in enumerate(start.periods) if period.kappa > 0]
+    chosen = sorted({*range(min(3, len(start.periods))), *positive[:1]})
+    for period in [*(start.periods[k] for k in chosen), PeriodStart(start.mean_period_s, 0.5, 0.0)]:
+        period0_s, kappa = _by_harmonic_balance(period)
+        stiffness = (period0_s / start.mean_period_s) ** 2
+        factor = stiffness if 0.05 < stiffness < 20 else 1.0
         proposals.append(
             {
                 "b": max(decay.b * factor, 1e-9),
                 "p": float(np.clip(decay.p, 0.1, 3.0)),
                 "c": decay.c * factor,
                 "n": period.n,
-                "gamma_pa": float(np.clip(period.kappa, -0.5, 0.5)),
+                "gamma_pa": float(np.clip(kappa, -0.5, 0.63)),
                 DRAG.key: decay.d * 4 / pi,
-                PERIOD: period.period0_s,
+                PERIOD: period0_s,
             }
         )
     return proposals
+
+
+def _by_harmonic_balance(period: PeriodStart) -> tuple[float, float]:
+    """T0 and kappa of ``(T0/T)^2 = 1 - 2 kappa J x^n`` with the period, and its slope, of Eq. 6 at x = 1.
+
+    Eq. 6 is its first order in kappa, too little where adhesion cancels much of the stiffness.
+    """
+    drop = period.kappa * float(cosine_moment(period.n + 2))
+    per_stiffness = 1 / max((1 - drop) * (1 + drop), 0.05)
+    return period.period0_s * per_stiffness**0.5, period.kappa * (1 - drop) * per_stiffness
 
 
 PAPER = memoryless_law(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from processing.contact import AMPLITUDE, LAWS, TIME, Law
 from processing.contact.asymptotic import DecayStart, PeriodStart, StartValues
@@ -98,13 +99,27 @@ def test_fits_start_within_the_range_of_their_law(law: Law, p: float) -> None:
 
 
 def test_starts_of_the_papers_law_are_in_terms_of_gravity_s_stiffness() -> None:
-    """T0 a tenth longer than T: the rates are 1.21 times those of Eq. 5; then as if without adhesion."""
+    """Rates are those of Eq. 5 times (T0/T)^2; T0 and kappa give Eq. 6's period and slope at x = 1."""
     decay_of_eq5 = DecayStart(1.0, 0.02, 0.9, 0.01, 0.003)
-    start = StartValues(decay_of_eq5, [PeriodStart(4.4, 0.6, 0.07)], 4.0)
-    stiff, plain = _propose_starts(start, 0.0)
+    worse = [PeriodStart(4.1, n, -0.01) for n in (1.0, 1.4)]
+    periods = [PeriodStart(4.4, 0.6, 0.07), *worse, PeriodStart(4.2, 2.0, -0.1), PeriodStart(4.3, 0.3, 0.1)]
+    stiff, *_, plain = _propose_starts(StartValues(decay_of_eq5, periods, 4.0), 0.0)
+    j = quad(lambda angle: np.cos(angle) ** 2.6, 0.0, np.pi / 2)[0]
+
+    def eq6(x: float) -> float:
+        return 4.4 / (1 - 0.07 * j * x**0.6)
+
+    def balanced(x: float) -> float:
+        return stiff["period0_s"] / np.sqrt(1 - 2 * stiff["gamma_pa"] * j * x**0.6)
+
+    assert balanced(1.0) == pytest.approx(eq6(1.0))
+    assert balanced(1.001) - balanced(0.999) == pytest.approx(eq6(1.001) - eq6(0.999), rel=1e-5)
+    factor = (stiff["period0_s"] / 4.0) ** 2
     common = {"p": 0.9, "drag_s": 0.012 / np.pi}
-    softer = {"b": 0.0242, "c": 0.0121, "n": 0.6, "gamma_pa": 0.07, "period0_s": 4.4}
-    assert stiff == pytest.approx({**common, **softer})
+    assert stiff == pytest.approx({**stiff, **common, "b": 0.02 * factor, "c": 0.01 * factor, "n": 0.6})
     assert plain == pytest.approx(
         {**common, "b": 0.02, "c": 0.01, "n": 0.5, "gamma_pa": 0.0, "period0_s": 4.0}
     )
+    # the first with a positive gamma is tried, however badly it fits the periods
+    only_last = StartValues(decay_of_eq5, periods[1:], 4.0)
+    assert [values["n"] for values in _propose_starts(only_last, 0.0)] == [1.0, 1.4, 2.0, 0.3, 0.5]
