@@ -123,6 +123,8 @@ class Coordinates:
         Bounds of the columns.
     map_by_log_rho
         Derivative of the map's parameters with respect to ln(R/a), which a fit takes as known.
+    exponents
+        Keys of the law's exponents. Where one is not known, chi2 may have several minima.
     valley
         Column along which friction and drag replace each other without a change of the turning points; None
         if there is none, or if it is not known.
@@ -146,6 +148,7 @@ class Coordinates:
         self._parameters = [p for p in parameters if p.key not in (PERIOD, DRAG.key)]
         self._own = tuple(parameter.key for parameter in self._parameters)
         self._scalings = scalings
+        self.exponents = frozenset(scaling.exponent for scaling in scalings.values()) - {""}
         self._drag = DRAG.key in names
         self._cache: dict[bytes, tuple[Floats, Floats]] = {}
         self._valley_coordinates, self._propose_starts = valley_coordinates(self._drag), propose_starts
@@ -249,8 +252,8 @@ class Coordinates:
         """Start values, the most promising first. Each is a sequence of attempts; the first one for which
         the map reaches the last half-cycle is used."""
         start = start_values(points, self._rho, drag=self.valley is not None)
-        exponents = {scaling.exponent for scaling in self._scalings.values()}
-        losses = {key for key, scaling in self._scalings.items() if scaling.loses} - exponents | {DRAG.key}
+        losses = {key for key, scaling in self._scalings.items() if scaling.loses} - self.exponents
+        losses |= {DRAG.key}
         return [
             [
                 self._columns(

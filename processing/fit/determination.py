@@ -5,7 +5,7 @@ profile likelihood gives the interval: the parameter is held at a value, all oth
 interval ends where chi2 has risen by the amount that corresponds to the coverage.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import nan
@@ -17,6 +17,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
+from processing.fit.exact import starts_of
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import impossible_signs
 from processing.fit.result import FitResult
@@ -329,8 +330,16 @@ def identifiability(
             determine(name, 0.0)
     if profiles:
         model = ExactModel.of(points, pendulum, result)[0]
+        allowed = [profile.allowed for profile in profiles.values()]
+        if not profiles.keys().isdisjoint(model.parametrisation.exponents):
+            minima = _other_minima(model, result)
+            for name in names:
+                if name not in profiles and _lie_outside(model, result, name, minima):
+                    determine(name, 0.0)
+            allowed.append(minima)
+        everywhere = np.concatenate(allowed)
         for name, profile in profiles.items():
-            wider = _with_other_valleys(points, pendulum, result, name, profile, profiles.values(), model)
+            wider = _with_other_valleys(points, pendulum, result, name, profile, everywhere, model)
             if wider is not profile:
                 verdicts[name] = _determination(result, name, wider)
     return tuple(verdicts[name] for name in result.contact_names)
@@ -342,15 +351,15 @@ def _with_other_valleys(
     result: FitResult,
     name: str,
     profile: Profile,
-    profiles: Iterable[Profile],
+    allowed: Floats,
     model: ExactModel,
 ) -> Profile:
-    """The profile with limits beyond all values that the profiles of other parameters allow.
+    """The profile with limits beyond all values at the coordinates (n, columns) that the data allow.
 
-    Chi2 may have a second minimum beyond a rise, which a search along another parameter goes around.
+    Chi2 may have a second minimum beyond a rise, which a search along another parameter goes around, or which
+    only another start reaches.
     """
     row = result.names.index(name)
-    allowed = np.concatenate([other.allowed for other in profiles])
     values = np.array([model.parametrisation.physical(coordinates)[0][row] for coordinates in allowed])
     if not np.any(np.isfinite(values)):
         return profile
@@ -362,6 +371,29 @@ def _with_other_valleys(
         farther = profile_likelihood(points, pendulum, result, name, begin=allowed[highest])
         profile = replace(profile, upper=farther.upper)
     return profile
+
+
+def _other_minima(model: ExactModel, result: FitResult) -> Floats:
+    """Coordinates (n, columns) of the minima from all starts of the law that the data allow at 95 %."""
+    from scipy.special import stdtrit
+
+    u_inflation = 1.0 if result.u_inflation is None else float(np.max(result.u_inflation))
+    scale = max(1.0, 2 * result.cost / result.dof) * u_inflation**2
+    highest = result.cost + 0.5 * scale * float(stdtrit(result.dof, 0.975)) ** 2
+    minima: list[Floats] = []
+    for start in starts_of(model):
+        refit = partial(solve, lower=model.lower, upper=model.upper, loss=result.loss, cost_tolerance=1e-7)
+        solution = _refit(refit, model, start)
+        if solution is not None and solution.cost < highest:
+            minima.append(solution.values)
+    return np.reshape(minima, (-1, len(model.lower)))
+
+
+def _lie_outside(model: ExactModel, result: FitResult, name: str, minima: Floats) -> bool:
+    """Whether a value at one of the minima is outside the interval by value and uncertainty."""
+    row, (lower, upper) = result.names.index(name), result.interval(name)
+    values = [model.parametrisation.physical(coordinates)[0][row] for coordinates in minima]
+    return any(not lower <= value <= upper for value in values)
 
 
 def _determination(result: FitResult, name: str, profile: Profile | None) -> Determination:
