@@ -78,32 +78,25 @@ _MIN_EXCESS_U: Final = 2.0
 """Minimum excess over a limit, in standard uncertainties, with which a single period fails its condition."""
 
 
-class _Condition(NamedTuple):
-    """Name of a condition, what is wrong where it fails, and what to do."""
-
-    name: str
-    reason: str
-    remedy: str
-
-
-_CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
-    "transverse motion": _Condition(
-        "transverse motion", "the start pushed it sideways", "release along Y; rig balance"
+_BALANCE: Final = "set the balance with rig balance"
+_SETTLE: Final = "let the pendulum settle before the release; rig balance shows the rotation"
+_CONDITION_OF_CHECK: Final[Mapping[str, tuple[str, str, str]]] = {
+    "transverse motion": (
+        "transverse motion",
+        "the start pushed it sideways",
+        "release along Y; rig balance",
     ),
-    "leakage": _Condition(
-        "ellipticity", "the slow mode draws an ellipse", "set the balance with rig balance"
-    ),
-    "spin": _Condition(
-        PLANE_OF_SWING,
-        "it turns about the vertical",
-        "let the pendulum settle before the release; rig balance shows the rotation",
-    ),
-    "rest position X": _Condition("tilt at rest, X", "it rests askew", "set the balance with rig balance"),
-    "rest position Y": _Condition("tilt at rest, Y", "it rests askew", "set the balance with rig balance"),
+    "leakage": ("ellipticity", "the slow mode draws an ellipse", _BALANCE),
+    "spin": (PLANE_OF_SWING, "it turns about the vertical", _SETTLE),
+    "rest position X": ("tilt at rest, X", "it rests askew", _BALANCE),
+    "rest position Y": ("tilt at rest, Y", "it rests askew", _BALANCE),
 }
-"""Conditions of a run by the check of its balance; the direction of the line is the camera's, and is none."""
+"""Name of a condition of a run, what is wrong where it fails, and what to do, by the check of its balance.
 
-BALANCE_CONDITIONS: Final = frozenset(condition.name for condition in _CONDITION_OF_CHECK.values())
+The direction of the line is the camera's, and is no condition.
+"""
+
+BALANCE_CONDITIONS: Final = frozenset(name for name, _, _ in _CONDITION_OF_CHECK.values())
 """Names of the conditions of a run that its balance decides."""
 
 
@@ -136,27 +129,22 @@ def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[
         # ratios and angles need no lever; the limits of the rest position are in arcsec
         balance = replace(balance, unit=DeflectionUnit.RAD, rest_x=math.nan, rest_y=math.nan)
     return [
-        _verdict(_CONDITION_OF_CHECK[check.name], check, beyond_u)
+        _verdict(check, beyond_u)
         for check in balance_checks(balance, (math.nan, math.nan), limits)
         if check.is_known and check.name in _CONDITION_OF_CHECK
     ]
 
 
-def _verdict(condition: _Condition, check: BalanceCheck, beyond_u: float) -> Verdict:
+def _verdict(check: BalanceCheck, beyond_u: float) -> Verdict:
+    name, *fault = _CONDITION_OF_CHECK[check.name]
     ok = check.ok or not abs(check.value) - beyond_u * check.u_value > check.limit
     if check.unit:
         measured = f"{judged_number(check.value, check.u_value, check.limit)} {check.unit}"
         limit = f"{check.limit:g} {check.unit}"
     else:
         measured, limit = percent(abs(check.value)), f"{100 * check.limit:g} %"
-    return Verdict(
-        condition.name,
-        ok,
-        "" if ok else condition.reason,
-        "" if ok else condition.remedy,
-        measured=measured,
-        limit=limit,
-    )
+    reason, remedy = ("", "") if ok else fault
+    return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
 
 Floats = NDArray[np.float64]

@@ -58,12 +58,11 @@ class Notices:
 
     def tell_end(self, status: int) -> None:
         """Send the end of a session by its exit status."""
-        if status:
-            causes = ["not every run was measured and fitted under its conditions"]
-            causes += ["; ".join(self.failures)] if self.failures else []
-            self.tell("failure", ": ".join(causes))
-        else:
+        if not status:
             self.tell("end", "every run was measured and fitted")
+            return
+        what = "not every run was measured and fitted under its conditions"
+        self.tell("failure", ": ".join(filter(None, (what, "; ".join(self.failures)))))
 
     def wait(self) -> None:
         """Wait until all notices are sent, at most `_MAX_LAST_WAIT_S`: the program is about to end."""
@@ -82,23 +81,20 @@ class Notices:
                 self.tell("alarm", event.line)
 
     def _run(self, *arguments: str) -> None:
-        null = subprocess.DEVNULL
+        null, fault = subprocess.DEVNULL, ""
+        command = [*self._command, *arguments]
         try:
-            status = subprocess.run(
-                [*self._command, *arguments],
-                stdin=null,
-                stdout=null,
-                stderr=null,
-                timeout=_MAX_CALL_S,
-                check=False,
-            ).returncode
+            done = subprocess.run(
+                command, stdin=null, stdout=null, stderr=null, timeout=_MAX_CALL_S, check=False
+            )
+            if done.returncode:
+                fault = f"{self._command[0]} ended with {done.returncode}"
         except subprocess.TimeoutExpired:
-            say(f"session.notify_command: {self._command[0]} was ended after {_MAX_CALL_S:g} s", error=True)
+            fault = f"{self._command[0]} was ended after {_MAX_CALL_S:g} s"
         except (OSError, ValueError) as error:
-            say(f"session.notify_command: {error}", error=True)
-        else:
-            if status:
-                say(f"session.notify_command: {self._command[0]} ended with {status}", error=True)
+            fault = str(error)
+        if fault:
+            say(f"session.notify_command: {fault}", error=True)
 
 
 class PreflightWait:

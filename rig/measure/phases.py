@@ -20,7 +20,8 @@ from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_co
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
-from rig.measure.recent_frames import FrameWatch, PhaseWait, RecentFrames, WaitStopped
+from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped
+from rig.measure.run_parts import RunPlan
 from rig.settings import Configuration
 from rig.terminal import Verdict, failures
 
@@ -51,26 +52,21 @@ class NoGo(DataError):
 class PhasesBeforeRecord:
     """Runs the phases before the record of a run; `run` is called for every attempt at a start.
 
-    `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a failed
-    preflight is recorded and the run continues. The free disk space of `folder`, that of the record, is
-    checked. `watch` receives the frames meanwhile.
+    `verdicts` is the preflight table, which `show_table` gets, `starter_pulse_s` the pulse of the next
+    attempt.
     """
 
     def __init__(
         self,
-        config: Configuration,
+        plan: RunPlan,
         devices: Devices,
         camera: OpenCamera,
         optics: Optics,
-        folder: Path,
-        *,
-        force: bool = False,
         show_table: Callable[[Sequence[Verdict]], None] = lambda _: None,
-        watch: FrameWatch | None = None,
     ) -> None:
-        self._config, self._devices, self._camera, self._optics = config, devices, camera, optics
-        self._folder, self._force, self._show_table, self._watch = folder, force, show_table, watch
-        self._unit = optics.unit
+        config = self._config = plan.config
+        self._plan, self._devices, self._camera, self._optics = plan, devices, camera, optics
+        self._show_table, self._unit = show_table, optics.unit
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
         self._attempts = 0
@@ -91,7 +87,7 @@ class PhasesBeforeRecord:
         window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
         # the preflight needs whole frames, not deflections alone
         frames_s = max(config.start.pretrigger_s, _preflight_s(config))
-        frames = RecentFrames(stream, self._optics, frames_s, window_s, self._watch)
+        frames = RecentFrames(stream, self._optics, frames_s, window_s, self._plan.session_news.look)
         self._wait = PhaseWait(frames, report, stop)
         self._attempts += 1
         try:
@@ -115,7 +111,9 @@ class PhasesBeforeRecord:
     ) -> None:
         """Make the preflight table of the pendulum as it hangs or swings, without a run; none if stopped."""
         duration_s = _preflight_s(self._config)
-        self._wait = PhaseWait(RecentFrames(stream, self._optics, duration_s, duration_s), report, stop)
+        look = self._plan.session_news.look
+        frames = RecentFrames(stream, self._optics, duration_s, duration_s, look)
+        self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
                 self._preflight_at_once()
@@ -229,7 +227,7 @@ class PhasesBeforeRecord:
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
-                free_bytes(self._folder),
+                free_bytes(self._plan.record.parent),
             ),
             frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
             frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
@@ -247,7 +245,7 @@ class PhasesBeforeRecord:
             self._raise_if_dark()
         self._show_table(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {failed_checks}" if failed_checks else "go")
-        if failed_checks and not self._force:
+        if failed_checks and not self._plan.force:
             raise NoGo(failed_checks)
         if failed_checks:
             self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {failed_checks}")

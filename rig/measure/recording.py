@@ -212,11 +212,6 @@ class Recording:
             self._stop.request(stream.end_reason, None if stream.failure is None else EventKind.FAILED)
         return ""
 
-    def _take_nothing(self) -> None:
-        """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
-        self._record(RecordEntry(events=self._device_events(), messages=messages))
-
     def _take(self) -> Block | None:
         """Take some frames, process and record them; None if there were none in time."""
         counts, run, stream = self._counts, self._run, self._stream
@@ -225,7 +220,9 @@ class Recording:
         while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
             frames += stream.take(_BLOCK_FRAMES - len(frames), _TAKE_WITHIN_S)
         if not frames:
-            self._take_nothing()
+            # events do not wait for frames, so that a silent camera is noted immediately
+            messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+            self._record(RecordEntry(events=self._device_events(), messages=messages))
             return None
         taken_ns, end_ns = time.monotonic_ns(), frames[0].time_ns + _MAX_BLOCK_NS
         late = (k for k, frame in enumerate(frames) if frame.time_ns > end_ns)

@@ -382,16 +382,7 @@ def _execute(
 
     phases: PhasesBeforeRecord | None = None
     if phases_wanted(config):
-        phases = PhasesBeforeRecord(
-            config,
-            devices,
-            camera,
-            optics,
-            plan.record.parent,
-            force=plan.force,
-            show_table=show_table,
-            watch=session_news.look,
-        )
+        phases = PhasesBeforeRecord(plan, devices, camera, optics, show_table)
     run = MeasurementRun(
         plan=plan,
         camera=camera,

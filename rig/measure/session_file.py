@@ -158,6 +158,11 @@ class SessionFile:
         file._take_lock()
         return file
 
+    @property
+    def complete_records(self) -> list[Path]:
+        """Paths of the records of the complete runs."""
+        return [self.folder / entry.record for entry in self.state.complete]
+
     def note(self, number: int, record: str, state: RunState, reason: str = "", recovered: str = "") -> None:
         """Save the state of a run."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -268,7 +273,7 @@ def close_earlier_runs(file: SessionFile) -> None:
     for entry in file.state.entries:
         if entry.state is RunState.RECORDING:
             _close_interrupted(file, entry)
-    for record in (file.folder / entry.record for entry in file.state.complete):
+    for record in file.complete_records:
         if record.exists():
             # complete at the end of its run, but truncated since, e.g. by a failed copy
             with RecordReader(record) as reader:
