@@ -81,12 +81,8 @@ def _lit_part(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64
 
 def average(frames: Sequence[Frame]) -> Image:
     """Mean of frames, in their pixel type; reduces noise and speckle."""
-    first_image = frames[0].image
-    total = np.zeros(first_image.shape, np.float64)
-    for frame in frames:
-        total += frame.image
-    mean = np.rint(total / len(frames))
-    return mean.astype(np.uint8) if first_image.dtype == np.uint8 else mean.astype(np.uint16)
+    mean: NDArray[np.float64] = np.rint(np.mean([frame.image for frame in frames], axis=0))
+    return mean.astype(np.uint8) if frames[0].image.dtype == np.uint8 else mean.astype(np.uint16)
 
 
 def png_of(image: NDArray[Any], path: Path) -> bytes:
@@ -190,12 +186,8 @@ def find_exposure(
 def _measure(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
     frames = read_frames(camera, _MEDIAN_FRAMES, _FRAME_TIMEOUT_S, on_frame)
     pictures = [figures(frame.image, info.full_scale_dn) for frame in frames]
-    return PictureFigures(
-        statistics.median(picture.peak for picture in pictures),
-        max(picture.saturated_px for picture in pictures),
-        statistics.median(picture.background for picture in pictures),
-        statistics.median(picture.sharpness_per_px for picture in pictures),
-    )
+    medians = PictureFigures(*map(statistics.median, zip(*pictures, strict=True)))
+    return medians._replace(saturated_px=max(picture.saturated_px for picture in pictures))
 
 
 _MAX_LIMIT = 2.0**62

@@ -134,15 +134,10 @@ class Devices(LitDevices):
         if self.state.path is not None:
             self._closing.enter_context(_press_watch(self))
         if config.controller.kind != "none":
+            sensor = config.environment_sensor
+            period_s = sensor.period_s if sensor.kind == "controller" else None
             self.control = self._closing.enter_context(
-                ControlService(
-                    self.make_controller(),
-                    config.controller,
-                    config.environment_sensor.period_s
-                    if config.environment_sensor.kind == "controller"
-                    else None,
-                    self.permit,
-                )
+                ControlService(self.make_controller(), config.controller, period_s, self.permit)
             )
             try:
                 self.control.wait_open()
@@ -152,12 +147,10 @@ class Devices(LitDevices):
             self.sensor = self._closing.enter_context(AmbientSensor(config.environment_sensor))
         if (seismometer := make_seismometer(config)) is not None:
             self.seismometer = self._closing.enter_context(seismometer)
-        laser = make_laser(config.laser)
-        if laser is not None:
-            has_own_interlock = config.laser.interlock == "own"
-            self.laser = self._closing.enter_context(
-                LaserService(laser, permit=self.permit, has_own_interlock=has_own_interlock)
-            )
+        if (laser := make_laser(config.laser)) is not None:
+            is_own = config.laser.interlock == "own"
+            service = LaserService(laser, permit=self.permit, has_own_interlock=is_own)
+            self.laser = self._closing.enter_context(service)
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
@@ -227,10 +220,9 @@ class Devices(LitDevices):
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the devices since the last call, as (kind, text); never blocks."""
-        kinds = EventKind.CONTROLLER, EventKind.LASER, EventKind.SENSOR, EventKind.SENSOR
-        devices = self.control, self.laser, self.sensor, self.seismometer
-        pairs = [(kind, device) for kind, device in zip(kinds, devices, strict=True) if device is not None]
-        return [(kind, text) for kind, device in pairs for text in device.take_events()]
+        sensors = (EventKind.SENSOR, self.sensor), (EventKind.SENSOR, self.seismometer)
+        devices = (EventKind.CONTROLLER, self.control), (EventKind.LASER, self.laser), *sensors
+        return [(kind, text) for kind, device in devices if device for text in device.take_events()]
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.

@@ -35,7 +35,6 @@ from rig.instrument.configured_camera import (
 )
 from rig.instrument.pipeline import (
     Block,
-    DeflectionConverter,
     Optics,
     Pipeline,
     optics_of,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,29 +255,16 @@ def _checks_line(checks: Sequence[BalanceCheck]) -> str:
     return f"{verdict} that are known; unknown: {unknown}" if unknown and not failed else verdict
 
 
-class Advice(NamedTuple):
-    """The next step, and one line for each fault; empty if there is no advice."""
-
-    next_step: str = ""
-    faults: tuple[str, ...] = ()
-
-    @property
-    def markdown(self) -> str:
-        if not self.next_step:
-            return ""
-        return "\n".join([f"**{self.next_step}**", "", *(f"- {fault}" for fault in self.faults)])
-
-
 def advice_for(
     config: Configuration, balance: Balance, learned: WeightResponses | None = None, room: Room | None = None
-) -> Advice:
-    """The faults of a balance and the weight to turn.
+) -> str:
+    """The weight to turn and the faults of a balance, as Markdown.
 
     It is based on the effects that `rig balance` has `learned`, or else on the nominal ones. Empty for a
     balance in px, because the limits are in arcsec, and for a recorded balance without rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
-        return Advice()
+        return ""
     height_m = mass_centre_height(config, balance)
     checks = balance_checks(balance, height_m, config.balance)
     state = np.array([checks[0].value, checks[1].value, height_m[0]])
@@ -286,9 +273,9 @@ def advice_for(
     turn = None if responses is None else responses.advise(state, room)
     next_step = _checks_line(checks) if responses is None else turn_text(turn, checks)
     faults = [
-        f"{check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
+        f"- {check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
         f"(limit {check.limit:g}): {check.meaning}"
         for check in checks
         if not check.ok
     ]
-    return Advice(next_step, tuple(faults))
+    return "\n".join([f"**{next_step}**", "", *faults])

@@ -17,6 +17,8 @@ from rig.measure.preflight import rest_checks
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import say
 
+_AIR_KEYS = "min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c"
+_REST_KEYS = "max_ground_rad_per_s2_rthz", "max_vibration_arcsec"
 _MAX_CALL_S = 20.0
 _MAX_LAST_WAIT_S = 10.0
 _MAX_ALARMS = 20
@@ -142,31 +144,20 @@ def check_notices(config: Configuration) -> None:
 
 def check_waiting(config: Configuration) -> None:
     """Raise ConfigurationError if a session shall wait for conditions that its rig cannot measure."""
-    preflight, defaults = config.preflight, PreflightSettings()
-    if not preflight.wait_max_s:
-        return
-
-    def first_changed(*keys: str) -> str:
-        return next((key for key in keys if getattr(preflight, key) != getattr(defaults, key)), "")
-
-    stated = f"preflight.wait_max_s = {preflight.wait_max_s:g}"
+    preflight, defaults, fault = config.preflight, PreflightSettings(), ""
+    changed = [name for name, value in preflight if value != getattr(defaults, name)]
+    air_key = next((key for key in changed if key in _AIR_KEYS), "")
+    rest_key = next((key for key in changed if key in _REST_KEYS), "")
+    min_s = rest_checks.MIN_GROUND_S
     if preflight.when == "never":
-        raise ConfigurationError(f'{stated}: has no effect with preflight.when = "never"')
-    air_key = first_changed(
-        "min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c"
-    )
-    if air_key and config.environment_sensor.kind == "none":
-        raise ConfigurationError(
-            f"{stated}: preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
-        )
-    rest_key = first_changed("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
-    if rest_key and (config.start.way == "at once" or config.lever is None):
-        raise ConfigurationError(
-            f"{stated}: preflight.{rest_key} needs a pendulum at rest and [lever]:"
-            " set start.way to 'by hand', 'magnet' or 'starter'"
-        )
-    if preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < rest_checks.MIN_GROUND_S:
-        raise ConfigurationError(
-            f"{stated}: preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
-            f"preflight.duration_s to {rest_checks.MIN_GROUND_S:g} or more, it is {preflight.duration_s:g}"
-        )
+        fault = 'has no effect with preflight.when = "never"'
+    elif air_key and config.environment_sensor.kind == "none":
+        fault = f"preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
+    elif rest_key and (config.start.way == "at once" or config.lever is None):
+        fault = f"preflight.{rest_key} needs a pendulum at rest and [lever]: set start.way to 'by hand', "
+        fault += "'magnet' or 'starter'"
+    elif preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < min_s:
+        fault = "preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
+        fault += f"preflight.duration_s to {min_s:g} or more, it is {preflight.duration_s:g}"
+    if preflight.wait_max_s and fault:
+        raise ConfigurationError(f"preflight.wait_max_s = {preflight.wait_max_s:g}: {fault}")

@@ -18,7 +18,8 @@ from acquisition.frames.queue import Policy
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from rig.devices.frame_stream import FrameStream, SleepWatch, read_sleep_ns
+from rig.devices import frame_stream
+from rig.devices.frame_stream import FrameStream, raise_if_slept, read_sleep_ns
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
@@ -233,12 +234,12 @@ def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
     [(12.75, 12.75, ""), (0.02, 600.02, "slept for 600 s, in which its clock")],
 )
 def test_after_a_sleep_no_time_is_believed_but_after_a_standstill(
-    awake_s: float, with_sleep_s: float, said: str
+    awake_s: float, with_sleep_s: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slept_ns = iter([7 * 10**9, 7 * 10**9 + round((with_sleep_s - awake_s) * 1e9)])
-    watch = SleepWatch(lambda: next(slept_ns))
+    slept_ns = 7 * 10**9 + round((with_sleep_s - awake_s) * 1e9)
+    monkeypatch.setattr(frame_stream, "read_sleep_ns", lambda: slept_ns)
     with pytest.raises(DeviceError, match=said) if said else nullcontext():
-        watch.raise_if_slept()
+        raise_if_slept(7 * 10**9)
 
 
 def test_the_clocks_agree_while_nothing_sleeps() -> None:
