@@ -82,12 +82,10 @@ def wait_for_network_clock(
 
 
 def _clock_state(camera: Camera) -> str:
-    if isinstance(camera, HasFeatures):
-        for name in PTP_STATUS_FEATURES:
-            value = camera.feature_value(name)
-            if value is not None:
-                return str(value)
-    return ""
+    if not isinstance(camera, HasFeatures):
+        return ""
+    values = map(camera.feature_value, PTP_STATUS_FEATURES)
+    return next((str(value) for value in values if value is not None), "")
 
 
 _ANCHOR_INTERVAL_NS = 10_000_000_000

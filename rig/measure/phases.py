@@ -92,12 +92,12 @@ class PhasesBeforeRecord:
         self._attempts += 1
         try:
             if config.start.way == "at once":
-                self._preflight_at_once()
+                self._preflight()
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
             if self._attempts == 1:
-                self._preflight_at_rest()
+                self._preflight()
             self._release()
         except WaitStopped:
             return [], self._wait.events
@@ -115,10 +115,7 @@ class PhasesBeforeRecord:
         frames = RecentFrames(stream, self._optics, duration_s, duration_s, look)
         self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
-            if self._config.start.way == "at once":
-                self._preflight_at_once()
-            else:
-                self._preflight_at_rest()
+            self._preflight()
 
     def correct_starter(self, first_amplitude: float) -> None:
         """Scale the next starter pulse by the `first_amplitude` of the last; unchanged if that is in px."""
@@ -188,32 +185,26 @@ class PhasesBeforeRecord:
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._is_warm = True
 
-    def _preflight_at_once(self) -> None:
-        frames = self._wait.frames
-        self._wait.until_reached(
-            Phase.PREFLIGHT, math.inf, lambda _: frames.frames_taken >= _MIN_FRAMES_AT_ONCE
-        )
-        self._check(resting=False)
-
-    def _preflight_at_rest(self) -> None:
+    def _preflight(self) -> None:
+        """Take the frames of the preflight, if it is wanted, and make its table."""
         if not preflight_wanted(self._config):
             return
-        duration_s = _preflight_s(self._config)
+        resting, duration_s = self._config.start.way != "at once", _preflight_s(self._config)
 
-        def long_enough(elapsed_s: float) -> bool:
+        def are_enough(elapsed_s: float) -> bool:
+            if not resting:
+                return self._wait.frames.frames_taken >= _MIN_FRAMES_AT_ONCE
             self._wait.progress = f"{elapsed_s:.0f} of {duration_s:g} s"
             return elapsed_s >= duration_s
 
-        self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
-        self._check(resting=True)
+        self._wait.until_reached(Phase.PREFLIGHT, math.inf, are_enough)
+        self._check(resting)
 
     def _check(self, resting: bool) -> None:
         """Make the preflight table; raises NoGo if a check fails, unless forced.
 
         Raises DeviceError instead if the laser has gone dark: then every check of its light fails.
         """
-        if not preflight_wanted(self._config):
-            return
         config, frames = self._config, self._wait.frames
         limits = config.preflight
         trial = frames.trial(resting, _preflight_s(config))

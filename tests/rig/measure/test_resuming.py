@@ -1,14 +1,9 @@
 """Sessions that wait, go on, and follow each other, measured with a clock of their own."""
 
-import contextlib
 import json
-import os
-import pty
 import re
-import tty
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Event, Thread
 
 import pytest
 
@@ -21,6 +16,7 @@ from rig.measure import measure_sessions, resume_session
 from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, rig, run, set_words
+from tests.rig.made_up import speaking_port
 from tests.rig.measure.test_preparation import BY_HAND
 
 
@@ -28,39 +24,23 @@ class Night:
     """The room at night: time passes only while the program waits; after half an hour the air has cooled."""
 
     def __init__(self) -> None:
-        self.now_s = 0.0
+        self.now_s, self.port = 0.0, ""
         self.waits_s: list[float] = []
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
-        self._over = Event()
-        self._writing = Thread(target=self._write)
-        self._writing.start()
 
     def sleep(self, wait_s: float) -> None:
         self.waits_s.append(wait_s)
         self.now_s += wait_s
 
-    def _write(self) -> None:
-        os.set_blocking(self._master, False)
-        while not self._over.wait(0.005):
-            temperature_c = 23.0 if self.now_s < 1800.0 else 20.0
-            # which fails while no session reads
-            with contextlib.suppress(BlockingIOError):
-                os.write(self._master, f"{temperature_c:.1f}, 40.0, 1000.0\n".encode())
-
-    def close(self) -> None:
-        self._over.set()
-        self._writing.join()
-        os.close(self._master)
-        os.close(self._slave)
+    def air(self, _: bytes) -> bytes:
+        """A line of the sensor."""
+        return b"%.1f, 40.0, 1000.0\n" % (23.0 if self.now_s < 1800.0 else 20.0)
 
 
 @pytest.fixture
 def night() -> Iterator[Night]:
-    made = Night()
-    yield made
-    made.close()
+    night = Night()
+    with speaking_port(night.air, 0.005) as night.port:
+        yield night
 
 
 def written(path: Path, values: dict[str, str]) -> Path:
