@@ -61,34 +61,23 @@ class ReferenceSpot(NamedTuple):
 
 
 class AlignmentFrame(NamedTuple):
-    """A frame (ny, nx) in DN for display, with the spot, its figures and the verdicts on them.
-
-    Attributes
-    ----------
-    spot
-        Fitted spot; its fields are NaN if none was found.
-    crosshair_px
-        Position (x, y) at which the spot should rest: the light lever's reference, else the middle of the
-        pendulum's part of the frame.
-    applied
-        Settings that the camera has read back.
-    beam
-        The verdict on the beam; None where it was not judged.
-    reference
-        The reference's spot, in the frame's px; None without a reference, or where it was not searched for.
-    limits
-        Limits of the peak.
-    """
+    """A frame (ny, nx) in DN for display, with the spot, its figures and the verdicts on them."""
 
     image: Image
     full_scale_dn: int
     figures: PictureFigures
     spot: Spot
+    """Fitted spot; its fields are NaN if none was found."""
     crosshair_px: tuple[float, float]
+    """Position (x, y) at which the spot should rest, as from `crosshair_of`."""
     applied: CameraSettings
+    """Settings that the camera has read back."""
     beam: Verdict | None = None
+    """The verdict on the beam; None where it was not judged."""
     reference: ReferenceSpot | None = None
+    """The reference's spot, in the frame's px; None without a reference, or where it was not searched for."""
     limits: PreflightSettings = PreflightSettings()
+    """Limits of the peak."""
 
     @property
     def has_spot(self) -> bool:
@@ -198,7 +187,10 @@ def _offset(off_px: tuple[float, float], digits: int) -> str:
 
 
 def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Position (x, y) at which the spot should rest: the reference, else the pendulum `image`'s middle."""
+    """Position (x, y) at which the spot should rest: the light lever's reference, else the middle of `image`.
+
+    `image` is the pendulum's part of a frame.
+    """
     rows, columns = image.shape
     return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
 

@@ -24,25 +24,17 @@ _MARGIN_PX = 2
 
 
 class PictureFigures(NamedTuple):
-    """Figures of one picture.
-
-    Attributes
-    ----------
-    peak
-        Brightest value as a fraction of full scale, without single hot pixels (median of 3 x 3).
-    saturated_px
-        Pixels at full scale.
-    background
-        Median of the picture as a fraction of full scale.
-    sharpness_per_px
-        sqrt(sum |grad I|^2 / sum I^2), where I is the light above the background. For a round Gaussian
-        spot of standard deviation s it is 1 / s, whatever the exposure. 0 for a picture without light.
-    """
+    """Figures of one picture."""
 
     peak: float
+    """Brightest value as a fraction of full scale, without single hot pixels (median of 3 x 3)."""
     saturated_px: int
+    """Number of pixels at full scale."""
     background: float
+    """Median of the picture as a fraction of full scale."""
     sharpness_per_px: float
+    """sqrt(sum |grad I|^2 / sum I^2), where I is the light above the background; 0 without light. For a round
+    Gaussian spot of standard deviation s it is 1 / s, whatever the exposure."""
 
 
 def figures(image: Image, full_scale_dn: int) -> PictureFigures:

@@ -121,6 +121,8 @@ GO: dict[str, Check] = {
     "humidity that nobody asks for": air(20.0, math.nan, 1e5),
     "controller": lambda: frame_checks.controller(opened(), True),
     "no controller": lambda: frame_checks.controller(SafetyNow(), False),
+    "laser": lambda: frame_checks.laser(LaserReport(Light.ON, 0.5e-3), True),
+    "no laser": lambda: frame_checks.laser(None, True),
 }
 NO_GO: dict[str, tuple[Check, str]] = {
     "spot": (
@@ -161,6 +163,7 @@ NO_GO: dict[str, tuple[Check, str]] = {
         lambda: frame_checks.controller(SafetyNow(controller=ControlState.LOST), True),
         "rig doctor",
     ),
+    "laser": (lambda: frame_checks.laser(LaserReport(Light.OFF), True), "rig doctor"),
 }  # fmt: skip
 
 
@@ -222,6 +225,11 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     for verdict, mark in zip(verdicts, marks, strict=True):
         assert next(line for line in lines if verdict.name in line[:24]).split()[0] == mark, verdict.name
     assert "not checked: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
+    # lit, and only this program switches it off
+    laser = verdicts[3]
+    assert laser.ok
+    assert "killed" in laser.reason
+    assert "relay" in laser.remedy
     # what stands against a run is one line
     line = failures(verdicts)
     assert "disk space" in line
