@@ -3,14 +3,15 @@
 import datetime
 import shutil
 import subprocess
-import threading
 import time
 from collections.abc import Callable
+from concurrent import futures
 from pathlib import Path
 from typing import Literal, Self
 
 from acquisition.record.events import Severity
 from processing.errors import ConfigurationError
+from rig.control import run_in_thread
 from rig.instrument import RecordContents
 from rig.interruption import reason_of
 from rig.measure.preflight import rest_checks
@@ -36,7 +37,7 @@ class Notices:
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
         self._command = settings.notify_command
         self._folder = folder
-        self.calls: list[threading.Thread] = []
+        self.calls: list[futures.Future[None]] = []
         self.failures: list[str] = []
         self._alarms = 0
 
@@ -52,11 +53,7 @@ class Notices:
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Send a notice; returns at once."""
         if self._command:
-            arguments = (kind, text, str(self._folder.absolute()))
-            name = f"session.notify_command: {self._command[0]}"
-            thread = threading.Thread(target=self._run, args=arguments, name=name, daemon=True)
-            thread.start()
-            self.calls.append(thread)
+            self.calls.append(run_in_thread(self._run, kind, text, str(self._folder.absolute())))
 
     def tell_end(self, status: int) -> None:
         """Send the end of a session by its exit status."""
@@ -68,12 +65,9 @@ class Notices:
 
     def wait(self) -> None:
         """Wait until all notices are sent, at most `_MAX_LAST_WAIT_S`: the program is about to end."""
-        deadline_s = time.monotonic() + _MAX_LAST_WAIT_S
-        for thread in self.calls:
-            thread.join(max(0.0, deadline_s - time.monotonic()))
-        for command in {thread.name for thread in self.calls if thread.is_alive()}:
-            silence = f"did not answer within {_MAX_LAST_WAIT_S:g} s"
-            say(f"{command} {silence}: it is unknown whether the message arrived", error=True)
+        if futures.wait(self.calls, _MAX_LAST_WAIT_S).not_done:
+            silence = f"{self._command[0]} did not answer within {_MAX_LAST_WAIT_S:g} s"
+            say(f"session.notify_command: {silence}: it is unknown whether the message arrived", error=True)
 
     def take(self, recorded: RecordContents) -> None:
         """Send the events of a run, which this object watches, whose level is an alarm or a trip."""

@@ -7,14 +7,13 @@ verdicts say how little.
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition.camera import Frame
 from acquisition.record.topics import RecordedSeismometer
-from calibration import Stability, stability
+from calibration import stability
 from processing.arrays import Floats
 from processing.arrival_times import sample_times
 from processing.balance import BalanceEstimator, BalanceLimits
@@ -66,16 +65,23 @@ def judged(name: str, ok: bool, fault: tuple[str, str], measured: str, limit: st
     return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
 
-def noise_and_vibration(
-    x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
-) -> list[Verdict]:
-    """Check the noise of one frame and the strongest spectral line of a spot at rest."""
+def stillness(trial: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
+    """Check the noise of one frame and the strongest spectral line of the spot of a pendulum at rest.
+
+    Not made if it may be swinging.
+    """
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
-    if x is None or y is None:
+    checks = ("noise floor", noise_limit), ("vibration", line_limit)
+    if not trial.resting:
+        return [not_at_rest(name, limit) for name, limit in checks]
+    deflections, unit = trial.deflections, trial.deflections.unit
+    try:
+        x = stability(deflections.times_s, deflections.x, deflections.u_x)
+        y = stability(deflections.times_s, deflections.y, deflections.u_y)
+    except DataError:
         fault = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
-        names_limits = ("noise floor", noise_limit), ("vibration", line_limit)
-        return [judged(name, False, fault, "not measured", limit) for name, limit in names_limits]
+        return [judged(name, False, fault, "not measured", limit) for name, limit in checks]
     noise = max(x.noise, y.noise) / unit.shown_size
     noise_text = f"{noise:.4f} {unit.shown} a frame"
     noise_fault = "the spot is too noisy", "more light, a smaller gain; shield the beam from air"
@@ -154,19 +160,6 @@ def plane_of_swing(trial: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
     balances = BalanceEstimator().update(trial.deflections)
     verdicts = balance_verdicts(balances[-1] if balances else None, limits)
     return [verdict for verdict in verdicts if verdict.name == PLANE_OF_SWING]
-
-
-def stillness(trial: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
-    """Check noise and vibration of the spot of a pendulum at rest; not made if it may be swinging."""
-    deflections = trial.deflections
-    if not trial.resting:
-        checks = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
-        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in checks]
-    x = y = None
-    with suppress(DataError):
-        x = stability(deflections.times_s, deflections.x, deflections.u_x)
-        y = stability(deflections.times_s, deflections.y, deflections.u_y)
-    return noise_and_vibration(x, y, deflections.unit, limits)
 
 
 def not_at_rest(name: str, limit: str) -> Verdict:

@@ -33,8 +33,8 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
     rate, found = ClockRate(), list[CameraClock]()
     for first in range(0, len(given), size):
         found.append(rate.take(given[first : first + size], steps if not first else ()))
-        if rate._thread is not None:
-            rate._thread.join()
+        if rate._fit is not None:
+            rate._fit.result()
     return found
 
 
@@ -73,8 +73,8 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
 
     def take() -> None:
         rate.take(frames(10.0, 0.0))
-        assert rate._thread is not None
-        rate._thread.join()
+        assert rate._fit is not None
+        rate._fit.exception()
         rate.take([])
 
     with pytest.raises(ValueError, match="no line"):

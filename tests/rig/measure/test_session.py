@@ -3,7 +3,6 @@
 import math
 import os
 import signal
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.measure import record_plainly
 from rig.settings import load_configuration
 from rig.view.replay import Replay
+from tests.rig.acting import acting
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, configured, rig, run, set_words
 from tests.waiting import until
 
@@ -133,10 +133,8 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
         until(lambda: record.exists() and record.stat().st_size > 250_000)
         os.kill(os.getpid(), signal.SIGINT)
 
-    pressing = threading.Thread(target=press)
-    pressing.start()
-    session = run(tmp_path / "out", endless)
-    pressing.join()
+    with acting(press):
+        session = run(tmp_path / "out", endless)
     assert "stopped by the user" in session.said
     assert session.runs[0]["half_cycles"] >= 10
     assert session.events[-1][1] == "stopped by the user"
