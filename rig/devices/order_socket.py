@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
 from processing.deflections import Deflections
@@ -172,13 +171,11 @@ def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
     # there may be thousands of single deflections, so they are joined before they are divided by their unit
     size = path[0].unit.shown_size
-    x = np.concatenate([piece.x for piece in path])[::step] / size
-    y = np.concatenate([piece.y for piece in path])[::step] / size
-    return {"x": _or_none(x), "y": _or_none(y)}
-
-
-def _or_none(values: NDArray[np.float64]) -> list[float | None]:
-    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
+    shown: dict[str, list[float | None]] = {}
+    for name in ("x", "y"):
+        values = np.concatenate([getattr(piece, name) for piece in path])[::step] / size
+        shown[name] = [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
+    return shown
 
 
 ORDERS_NAME = ".orders.json"
@@ -345,10 +342,8 @@ def _tell_dark(devices: Devices, news: SessionNews) -> None:
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:
-    """Write the file at once, readable by this user only, over one that a killed program has left.
-
-    Raises ConfigurationError where the program of the present file lives.
-    """
+    """Write the file at once, for this user only, over one that a killed program has left; if its program
+    lives, ConfigurationError."""
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "w", encoding="ascii") as file:

@@ -56,10 +56,8 @@ class OpenCamera(NamedTuple):
 
 @contextmanager
 def _press_watch(devices: LitDevices) -> Iterator[None]:
-    """Context in which a thread checks for presses of LIGHT OFF by programs that cannot send an order here.
-
-    The thread is its own, so that a hanging disk delays no command to a device.
-    """
+    """Context in which presses of LIGHT OFF are looked for, by programs that cannot send an order here."""
+    # a thread of its own, so that a hanging disk delays no command to a device
     stop = threading.Event()
 
     def check() -> None:

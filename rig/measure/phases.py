@@ -126,10 +126,7 @@ class PhasesBeforeRecord:
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
-        """Wait until X and Y stay within the limit for a whole window; use the brake if there is one.
-
-        Without a lever the limit follows from the noise between successive frames.
-        """
+        """Wait until X and Y stay within the limit for a whole window; use the brake if there is one."""
         phases, frames = self._config.phases, self._wait.frames
         window_ns = nanoseconds(phases.rest_window_s)
         brake_due_ns = 0
@@ -144,6 +141,7 @@ class PhasesBeforeRecord:
             spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
             limit = phases.rest_limit_arcsec
             if self._unit is DeflectionUnit.PX:
+                # the limit is configured in arcsec
                 limit = _MAX_REST_SPREAD_SIGMA * max(_frame_noise(recent.x), _frame_noise(recent.y))
             self._wait.progress = f"spread {spread:.2f} {self._unit.shown} (limit {limit:.3g})"
             if spread <= limit:
@@ -201,10 +199,8 @@ class PhasesBeforeRecord:
         self._check(resting)
 
     def _check(self, resting: bool) -> None:
-        """Make the preflight table; raises NoGo if a check fails, unless forced.
-
-        Raises DeviceError instead if the laser has gone dark: then every check of its light fails.
-        """
+        """Make the preflight table; raises NoGo if a check fails, unless forced, and DeviceError instead if
+        the laser has gone dark, because every check of its light fails then."""
         config, frames = self._config, self._wait.frames
         limits = config.preflight
         trial = frames.trial(resting, _preflight_s(config))

@@ -150,30 +150,29 @@ def finish_session(
 
     Returns the exit status like `measure_session`.
     """
-    waiting = waiting or PreflightWait(file.folder.name, config.preflight)
-    with Notices(config.session, file.folder) as notices:
-        status = _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+    folder, results, failed = file.folder, None, False
+    waiting = waiting or PreflightWait(folder.name, config.preflight)
+    with Notices(config.session, folder) as notices:
+        options = SessionOptions(notices, force, json_lines, waiting)
+        if file.state.entries:
+            close_earlier_runs(file)
+        if len(file.state.complete) >= file.state.runs_wanted:
+            # complete records are fitted without the rig, which may not even exist any more
+            say("no run is missing")
+            results, records = _whole_results(file), file.complete_records
+        else:
+            with ready_for_frames(live=not config.on_demand), Devices(config, folder, task) as devices:
+                records, failed = make_runs(config, file, devices, options)
+        if results is None:
+            status = report(config, folder, records, options, failed=failed)
+        else:
+            faults = result_faults(results, config)
+            for why in faults:
+                say(why)
+            notices.failures.extend(faults)
+            status = 1 if faults else 0
         notices.tell_end(status)
         return status
-
-
-def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:
-    folder = file.folder
-    if file.state.entries:
-        close_earlier_runs(file)
-    if len(file.state.complete) >= file.state.runs_wanted:
-        say("no run is missing")
-        if (results := _whole_results(file)) is None:
-            # complete records are fitted without the rig, which may not even exist any more
-            return report(config, folder, file.complete_records, options)
-        faults = result_faults(results, config)
-        for why in faults:
-            say(why)
-        options.notices.failures.extend(faults)
-        return 1 if faults else 0
-    with ready_for_frames(live=not config.on_demand), Devices(config, folder, task) as devices:
-        records, failed = make_runs(config, file, devices, options)
-    return report(config, folder, records, options, failed=failed)
 
 
 @contextmanager
@@ -297,7 +296,7 @@ def report(
     records: Sequence[Path],
     options: SessionOptions,
     *,
-    failed: bool = False,
+    failed: bool,
 ) -> int:
     """Fit records and write the results; returns the exit status, 1 also after a run that `failed`."""
     # importing matplotlib takes a second, which must not delay the first frame
