@@ -15,11 +15,12 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.deflections import no_deflections
+from processing.deflections import DeflectionUnit, no_deflections
 from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
-from processing.units import nanoseconds, seconds
+from processing.units import ARCSEC_RAD, nanoseconds, seconds
 from rig.instrument import Block, Phase, Pipeline, RecordContents
+from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
@@ -155,7 +156,12 @@ class Recording:
         self._counts = FrameCounts(first, interval_ns, keep_windows=settings.windows)
         shape = first.image.shape[0], first.image.shape[1]
         self._pipeline = Pipeline(run.optics, shape, threaded=not self._on_demand, guard=run.guard)
-        self._end = run.end
+        config = run.plan.config
+        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
+        has_lever = run.optics.unit is DeflectionUnit.RAD
+        final_rad = config.session.final_amplitude_arcsec * ARCSEC_RAD if has_lever else 0.0
+        stop_when = () if run.posterior is None else config.stop_conditions
+        self._end = EndOfRun(final_rad, config.session.max_duration_s, stop_when)
         self._steps = StepEvents(run.optics.unit)
         self._readings = SideReadings(run, first.time_ns)
         self._published_ns = self._half_cycles = 0

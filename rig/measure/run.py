@@ -14,9 +14,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedLosses, RecordedPhase
 from acquisition.record.writer import RecordWriter
 from processing import decay_summary
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
-from processing.units import ARCSEC_RAD
 from rig.devices import Devices, FrameStream, OpenCamera, TypedAcknowledgement
 from rig.instrument import (
     ObserverGuard,
@@ -30,7 +28,7 @@ from rig.instrument import (
     session_metadata,
 )
 from rig.interruption import reason_of
-from rig.measure.end_of_run import EndOfRun, StopRequest
+from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.recorder import Recorder
@@ -85,18 +83,6 @@ class MeasurementRun:
     def __post_init__(self) -> None:
         self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.guard)
         self.stop = StopRequest(self.stream)
-
-    @property
-    def end(self) -> EndOfRun:
-        """The judge of the run's end, by its limits of amplitude and time and its stop conditions."""
-        session = self.plan.config.session
-        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
-        final_rad = session.final_amplitude_arcsec * ARCSEC_RAD
-        return EndOfRun(
-            final_rad if self.optics.unit is DeflectionUnit.RAD else 0.0,
-            session.max_duration_s,
-            self.plan.config.stop_conditions if self.posterior is not None else (),
-        )
 
     @property
     def waits_when_dark(self) -> bool:
@@ -282,8 +268,7 @@ class MeasurementRun:
                 raise stream.failure or DataError(f"{why} before the run began; nothing was recorded")
             return frames, events
         while not (stream.drained or self.stop):
-            frames = stream.take(1, 0.1)
-            if frames:
+            if frames := stream.take(1, 0.1):
                 return frames, []
         raise stream.failure or DataError("stopped before the run began; nothing was recorded")
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from acquisition.frames.queue import take_all
 from acquisition.record.events import EventKind
 from acquisition.record.topics import (
     Environment,
@@ -65,13 +66,12 @@ class RunStatus:
         self._alarm = ""
         self.now = self.now.for_new_record()
 
-    def take_instructions(self) -> Iterable[RunNow]:
+    def take_instructions(self) -> list[RunNow]:
         """States with an instruction to the operator since the last call, oldest first.
 
         Short-lived ones are among them, which `now` may never show to a caller.
         """
-        while self._instructions:
-            yield self._instructions.popleft()
+        return take_all(self._instructions)
 
     def prepare(self, phase: RecordedPhase) -> None:
         """Publish a state before the record begins, which is not recorded; looks at the laser."""

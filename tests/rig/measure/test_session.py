@@ -13,9 +13,10 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from acquisition.frames.queue import BoundedQueue
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.true_path import true_turning_points
+from processing.errors import ConfigurationError
 from processing.swing import HalfCycleFlag
 from rig.instrument.provenance import frame_shape, recorded_configuration
-from rig.measure import record_plainly
+from rig.measure import record_plainly, session_folder
 from rig.settings import load_configuration
 from rig.view.replay import Replay
 from tests.rig.acting import acting
@@ -71,22 +72,11 @@ def test_retracking_is_equal_within_a_tenth_of_the_uncertainty(measured_series: 
     assert comparison.half_cycles.largest_u < 0.1
 
 
-@pytest.mark.slow
-def test_a_folder_that_holds_a_run_is_never_written_over(measured_series: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in measured_series.iterdir()}
-    again = run(measured_series, {})
-    assert again.done.returncode == 2
-    assert "run-1.mcap: exists already and is not overwritten" in again.said
-    assert again.said.count("\n") == 1
-    assert {path: path.stat().st_mtime_ns for path in measured_series.iterdir()} == before
-
-
-def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
-    session = run(tmp_path / "out", SMALL, session__max_duration_s="9")
-    assert session.done.returncode == 1
-    assert "needs at least 10" in session.done.stdout
-    with RecordReader(session.record) as reader:
-        assert len(reader.spots()) >= 450
+@pytest.mark.parametrize("name", ["run-1.mcap", "results.json"])
+def test_a_folder_that_holds_a_run_is_never_written_over(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(ConfigurationError, match="holds a run already, which is never overwritten"):
+        session_folder(configured({}), CONFIGS / "demo.toml", tmp_path)
 
 
 def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
