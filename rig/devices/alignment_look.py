@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
+from calibration import Lever
 from processing.spot import Spot, SpotFlag
 from rig.devices import picture
 from rig.devices.picture import PictureFigures
-from rig.instrument import Pipeline, beam_quality
+from rig.instrument import Pipeline, beam_quality, reference_px
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, decimals, palette
 
@@ -69,7 +70,8 @@ class AlignmentFrame(NamedTuple):
     spot: Spot
     """Fitted spot; its fields are NaN if none was found."""
     crosshair_px: tuple[float, float]
-    """Position (x, y) at which the spot should rest, as from `crosshair_of`."""
+    """Position (x, y) at which the spot should rest: the light lever's reference, else the middle of the
+    pendulum's part of the frame."""
     applied: CameraSettings
     """Settings that the camera has read back."""
     beam: Verdict | None = None
@@ -186,20 +188,11 @@ def _offset(off_px: tuple[float, float], digits: int) -> str:
     return ", ".join(decimals(value, digits, sign=True) for value in off_px)
 
 
-def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Position (x, y) at which the spot should rest: the light lever's reference, else the middle of `image`.
-
-    `image` is the pendulum's part of a frame.
-    """
-    rows, columns = image.shape
-    return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
-
-
 def take_look(
     frame: Frame,
     full_scale_dn: int,
     pipeline: Pipeline,
-    reference_px: tuple[float, float] | None,
+    lever: Lever | None,
     applied: CameraSettings,
     limits: PreflightSettings,
 ) -> AlignmentFrame:
@@ -222,7 +215,7 @@ def take_look(
             reason=f"{figures.saturated_px} px are saturated",
             remedy="expose shorter, or less gain",
         )
-    crosshair_px = crosshair_of(pendulum_image, reference_px)
+    crosshair_px = reference_px(lever, (pendulum_image.shape[0], pendulum_image.shape[1]))
     return AlignmentFrame(image, full_scale_dn, figures, spot, crosshair_px, applied, beam, reference, limits)
 
 

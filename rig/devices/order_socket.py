@@ -33,7 +33,6 @@ from rig.terminal import Verdict, plain_values
 PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""
 _PATH_POINTS = 400
-_PICTURE_INTERVAL_S = 0.1
 _MAX_ABSENCE_S = 60.0
 """Longest absence of a desk, which may come back, before a run that waits for an acknowledgement ends."""
 
@@ -54,7 +53,7 @@ class SessionPicture(NamedTuple):
 class SessionNews:
     """The state of a session, which its threads write, and which those that answer requests read.
 
-    It holds a reference to the newest frame that a program has requested, at most ten times a second.
+    It holds a reference to the newest frame that a program has requested.
     """
 
     def __init__(self) -> None:
@@ -63,7 +62,6 @@ class SessionNews:
         """Monotonic times of the last requests for news, and for a picture."""
         self._picture_requested = False
         self._picture_number = 0
-        self._picture_s = 0.0
         self._frame: SessionPicture | None = None
         self._begin("", "", {})
 
@@ -117,8 +115,8 @@ class SessionNews:
             # a spot that was never found counts as lost since the first frame
             if math.isnan(self._spot_s) or not spots[-1].flags & SpotFlag.LOST:
                 self._spot_s = now_s
-        if self._picture_requested and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
-            self._picture_requested, self._picture_s = False, now_s
+        if self._picture_requested and frames and spots:
+            self._picture_requested = False
             self.show(frames[-1].image, spots[-1], block.references[-1] if block.references else None)
 
     def show(

@@ -38,6 +38,7 @@ from rig.instrument.pipeline import (
     Optics,
     Pipeline,
     optics_of,
+    reference_px,
     sensor_model,
 )
 from rig.instrument.provenance import (

@@ -26,7 +26,7 @@ from processing.contact import pendulum_on_ball as pendulum_after_hertz
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
-from rig.instrument.pipeline import DeflectionConverter
+from rig.instrument.pipeline import reference_px
 from rig.settings import Configuration
 from rig.terminal import Verdict, judged_number, percent
 
@@ -210,12 +210,12 @@ def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | 
     if config.lever is None:
         return None
     ny, nx = sensor_shape
-    reference_px = DeflectionConverter(config.lever, config.axes or Axes(), sensor_shape).reference_px
+    zero_px = reference_px(config.lever, sensor_shape)
     middle_px = np.array([0.5 * (nx - 1), 0.5 * (ny - 1)])
     points_px = middle_px + np.array([[0, 0], [1, 0], [0, 1]])
     zero = np.zeros(3)
     x_px, y_px = points_px.T
-    tilts = deflections(config.lever, config.axes or Axes(), x_px, y_px, zero, zero, reference_px)
+    tilts = deflections(config.lever, config.axes or Axes(), x_px, y_px, zero, zero, zero_px)
     middle, right, down = np.column_stack(tilts[:2]) / ARCSEC_RAD
     px_per_arcsec = np.linalg.inv(np.column_stack([right - middle, down - middle]))
     scale = np.linalg.norm(px_per_arcsec, axis=1)

@@ -25,6 +25,7 @@ from rig.instrument import (
     configuration_attachments,
     optics_of,
     prepare_kernels,
+    reference_px,
     session_metadata,
 )
 from rig.interruption import reason_of
@@ -122,8 +123,7 @@ class MeasurementRun:
         if lever is not None:
             shape = (first.image.shape[0], first.image.shape[1])
             distance_px = lever.arm_m / lever.pixel_pitch_m
-            reference_px = self.optics.deflector(shape).reference_px
-            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
+            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px(lever, shape))
         return writer
 
     def execute(self, show: Callable[[RunNow], None] = lambda _: None) -> RunOutcome:
