@@ -186,8 +186,7 @@ class RigFollower:
             pendulum_image = newest.image[:row]
         figures = picture.figures(pendulum_image, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
-        shape = pendulum_image.shape[0], pendulum_image.shape[1]
-        crosshair_px = reference_px(None if config is None else config.lever, shape)
+        crosshair_px = reference_px(None if config is None else config.lever, pendulum_image.shape)
         # the settings of this frame: those of the news may be older or newer
         applied = CameraSettings.model_validate(newest.camera["applied"])
         return AlignmentFrame(

@@ -21,6 +21,7 @@ _MAX_CENTRE_DISTANCE = 0.1
 """Largest distance of a centred spot from the crosshair, over the frame's shorter side."""
 _MIN_EDGE_DISTANCE = 0.15
 """Distance from all edges, over the frame's shorter side, from which a spot off the centre may swing."""
+_LESS_LIGHT = "expose shorter, or less gain"
 _OFF_CENTRE_REMEDY = "at rest it belongs to the crosshair; a swing passes there"
 _MIN_SHARPNESS_RATIO = 0.95
 """Smallest ratio of the sharpness of a good focus to the best so far."""
@@ -104,7 +105,7 @@ class AlignmentFrame(NamedTuple):
             Verdict(
                 "saturated",
                 not figures.saturated_px,
-                remedy="expose shorter, or less gain" if figures.saturated_px else "",
+                remedy=_LESS_LIGHT if figures.saturated_px else "",
                 measured=f"{figures.saturated_px} px" if figures.saturated_px else "none",
                 limit="none",
             ),
@@ -209,13 +210,8 @@ def take_look(
     figures = picture.figures(pendulum_image, full_scale_dn)
     if beam.ok and figures.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged
-        beam = replace(
-            beam,
-            ok=False,
-            reason=f"{figures.saturated_px} px are saturated",
-            remedy="expose shorter, or less gain",
-        )
-    crosshair_px = reference_px(lever, (pendulum_image.shape[0], pendulum_image.shape[1]))
+        beam = replace(beam, ok=False, reason=f"{figures.saturated_px} px are saturated", remedy=_LESS_LIGHT)
+    crosshair_px = reference_px(lever, pendulum_image.shape)
     return AlignmentFrame(image, full_scale_dn, figures, spot, crosshair_px, applied, beam, reference, limits)
 
 

@@ -32,8 +32,6 @@ from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
 from rig.terminal import Verdict, answer, failures, print_json_line, print_line, print_verdicts, say
 
-_TERMINAL = "a terminal"
-"""Where LIGHT OFF was pressed, in the text of a trip."""
 _MAX_CONFIRMATION_S = 3.0
 """Longest wait until a session has heard from its devices that they are dark."""
 _LOOK_INTERVAL_S = 0.05
@@ -171,7 +169,7 @@ def light_off(config: Configuration) -> int:
     """
     rig = SafetyState(rig_state_path(config.laser, config.controller))
     sessions = [path.parent for path in config.session.output.glob(f"*/{ORDERS_NAME}")]
-    problems, heard, _ = LightOff(config, rig, _TERMINAL, sessions).result()
+    problems, heard, _ = LightOff(config, rig, "a terminal", sessions).result()
     if config.laser.kind == "none":
         problems.append(SWITCHED_BY_HAND)
     elif rig.presses is None and not heard:

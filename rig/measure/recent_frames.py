@@ -52,7 +52,7 @@ class RecentFrames:
         if not frames:
             return not self._stream.drained
         if self._pipeline is None:
-            self._pipeline = Pipeline(self._optics, (frames[0].image.shape[0], frames[0].image.shape[1]))
+            self._pipeline = Pipeline(self._optics, frames[0].image.shape)
         block = self._pipeline.process(frames, estimated=False)
         self._blocks.append(block)
         times_ns = block.deflections.times_ns

@@ -154,8 +154,9 @@ class Recording:
         settings = run.plan.config.record
         interval_ns = nanoseconds(settings.full_frame_interval_s)
         self._counts = FrameCounts(first, interval_ns, keep_windows=settings.windows)
-        shape = first.image.shape[0], first.image.shape[1]
-        self._pipeline = Pipeline(run.optics, shape, threaded=not self._on_demand, guard=run.guard)
+        self._pipeline = Pipeline(
+            run.optics, first.image.shape, threaded=not self._on_demand, guard=run.guard
+        )
         config = run.plan.config
         # without a lever the amplitude in arcsec is unknown, and only the time limit applies
         has_lever = run.optics.unit is DeflectionUnit.RAD
