@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -100,7 +101,7 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     state = json.loads((out / "session.json").read_text())
     (out / "session.json").write_text(json.dumps({**state, "runs_wanted": 2}))
     with monkeypatch.context() as killed:
-        killed.setattr(session_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        killed.setattr(session_module, "report", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             resume_session(out)
     assert [one.record for one in read_results(out).runs] == ["run-1.mcap"]
