@@ -5,7 +5,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from typing import Final, NamedTuple
 
@@ -116,8 +116,7 @@ def read_clocks() -> HostClockReading:
 class ClockAnchors:
     """Anchors of the computer's two clocks, every 10 s and after every step of the clock of the day."""
 
-    def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
-        self._read = read
+    def __init__(self) -> None:
         self._last: HostClockReading | None = None
         self._due_ns = 0
 
@@ -126,7 +125,7 @@ class ClockAnchors:
 
         `time_ns` is the time of the latest frame.
         """
-        now, last = self._read(), self._last
+        now, last = read_clocks(), self._last
         self._last = now
         events: list[Event] = []
         if last is not None:

@@ -4,7 +4,6 @@ import datetime
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
 from concurrent import futures
 from pathlib import Path
 from typing import Literal, Self
@@ -96,14 +95,8 @@ class Notices:
 class PreflightWait:
     """Waits after a no-go of the preflight, as `[preflight]` states; `name` says what waits, in messages."""
 
-    def __init__(
-        self,
-        name: str,
-        preflight: PreflightSettings,
-        now_s: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._name, self._now_s, self._sleep, self._waited_s = name, now_s, sleep, 0.0
+    def __init__(self, name: str, preflight: PreflightSettings) -> None:
+        self._name, self._waited_s = name, 0.0
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
         self.first_no_go = ""
         """Time of day of the first no-go of the present run; the session empties it after the run."""
@@ -120,9 +113,9 @@ class PreflightWait:
             return False
         self.first_no_go = self.first_no_go or f"{datetime.datetime.now().astimezone():%H:%M}"
         say(f"{self._name}: waiting since {self.first_no_go}: {why}")
-        began_s = self._now_s()
-        self._sleep(min(self._interval_s, left_s))
-        self._waited_s += self._now_s() - began_s
+        began_s = time.monotonic()
+        time.sleep(min(self._interval_s, left_s))
+        self._waited_s += time.monotonic() - began_s
         return True
 
 

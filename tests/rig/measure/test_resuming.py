@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -13,7 +14,7 @@ from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.devices import Devices
 from rig.interruption import Terminated
-from rig.measure import measure_sessions, resume_session
+from rig.measure import measure_sessions, notices, resume_session
 from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, rig, run, set_words
@@ -38,8 +39,9 @@ class Night:
 
 
 @pytest.fixture
-def night() -> Iterator[Night]:
+def night(monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
     night = Night()
+    monkeypatch.setattr(notices, "time", SimpleNamespace(monotonic=lambda: night.now_s, sleep=night.sleep))
     with speaking_port(night.air, 0.005) as night.port:
         yield night
 
@@ -74,7 +76,7 @@ def test_a_session_waits_for_its_conditions_and_is_left_out_without_them(
         written(tmp_path / "silicon.toml", {**BY_HAND, **patient, **quiet}),
     ]
     out = tmp_path / "out"
-    assert measure_sessions(sources, (), out, now_s=lambda: night.now_s, sleep=night.sleep) == 1
+    assert measure_sessions(sources, (), out) == 1
     said = capsys.readouterr().err
     # three times for the temperature, twice for quiet
     assert night.waits_s == [600.0, 600.0, 600.0, 1800.0, 1800.0]
