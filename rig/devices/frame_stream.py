@@ -56,7 +56,8 @@ _POLL_INTERVAL_S = 0.05
 _MIN_QUEUE_FRAMES, _MAX_FRAMES_ON_DEMAND = 8, 64
 _FIRST_FRAME_TIMEOUT_S = 0.5
 """Timeout of each attempt to read the first frame, after which a stop is noticed."""
-_REOPEN_INTERVAL_S = 0.25
+_REOPEN_INTERVAL_S, _RECONNECT_S = 0.25, 60.0
+"""Interval of attempts to open a lost camera again, and time after which they end."""
 
 
 class FrameStream:
@@ -75,7 +76,6 @@ class FrameStream:
         *,
         policy: Policy = "drop",
         timeout_s: float = 5.0,
-        reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
         time_shift_ns: int = 0,
         applied: CameraSettings | None = None,
@@ -86,7 +86,6 @@ class FrameStream:
         self._all_settings = settings if applied is None else with_read_back(settings, applied)
         self.policy: Policy = policy
         self._timeout_s = timeout_s
-        self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
         # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
@@ -291,7 +290,7 @@ class FrameStream:
         )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
-        deadline_s = time.monotonic() + self._reconnect_s
+        deadline_s = time.monotonic() + _RECONNECT_S
         earlier_counts = self._counts.latest
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
@@ -308,7 +307,7 @@ class FrameStream:
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return
-        raise CameraLost(f"{lost}; it could not be reopened within {self._reconnect_s:g} s")
+        raise CameraLost(f"{lost}; it could not be reopened within {_RECONNECT_S:g} s")
 
     def _configure_again(self) -> str:
         """Set the requested settings and the camera's other ones; returns the differences after that."""

@@ -24,6 +24,7 @@ from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frames.losses import FrameLosses
 from processing.errors import DeviceError
+from rig.devices import frame_stream
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
@@ -205,9 +206,9 @@ def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:
     assert run.camera.opened == 2
 
 
-def test_one_that_does_not_come_back_is_named() -> None:
+def test_one_that_does_not_come_back_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_stream, "_RECONNECT_S", 1.0)
     run, device = plugged()
-    run.stream._reconnect_s = 1.0
     run.more()
     device.unplug()
     run.until(lambda: run.stream.drained)
