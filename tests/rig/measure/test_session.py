@@ -20,7 +20,7 @@ from rig.measure import record_plainly, session_folder
 from rig.settings import load_configuration
 from rig.view.replay import Replay
 from tests.rig.acting import acting
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, configured, rig, run, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, configured, events_of, rig, run, set_words
 from tests.waiting import until
 
 TRUTH = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6}
@@ -77,6 +77,12 @@ def test_a_folder_that_holds_a_run_is_never_written_over(name: str, tmp_path: Pa
     (tmp_path / name).touch()
     with pytest.raises(ConfigurationError, match="holds a run already, which is never overwritten"):
         session_folder(configured({}), CONFIGS / "demo.toml", tmp_path)
+
+
+def test_a_run_ends_at_its_final_amplitude_in_arcsec(tmp_path: Path) -> None:
+    wanted = {**QUICK, "session.final_amplitude_arcsec": "118", "session.max_duration_s": "60"}
+    record_plainly(configured(wanted), CONFIGS / "demo.toml", tmp_path / "run-1.mcap")
+    assert events_of(tmp_path / "run-1.mcap")[-1] == ("stop", "final amplitude reached")
 
 
 def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
