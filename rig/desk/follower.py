@@ -23,10 +23,10 @@ from rig.devices import (
     ReferenceSpot,
     SessionBusy,
     SessionPicture,
-    crosshair_of,
     picture,
     running_sessions,
 )
+from rig.instrument import reference_px
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
 from rig.settings import Configuration, PreflightSettings, validate_configuration, without_schema
 
@@ -186,7 +186,7 @@ class RigFollower:
             pendulum_image = newest.image[:row]
         figures = picture.figures(pendulum_image, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
-        crosshair_px = crosshair_of(pendulum_image, None if config is None else config.lever_reference_px)
+        crosshair_px = reference_px(None if config is None else config.lever, pendulum_image.shape)
         # the settings of this frame: those of the news may be older or newer
         applied = CameraSettings.model_validate(newest.camera["applied"])
         return AlignmentFrame(

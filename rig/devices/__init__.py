@@ -7,7 +7,6 @@ from rig.devices.alignment_look import (
     AlignmentFrame,
     ReferenceSpot,
     annotated_picture,
-    crosshair_of,
     take_look,
 )
 from rig.devices.audit import AuditEntry

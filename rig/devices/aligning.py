@@ -149,8 +149,8 @@ class LivePicture:
                         raise stream.failure or DeviceError("the camera has delivered its last frame")
                     continue
                 pipeline = pipeline or Pipeline(optics, frames[-1].image.shape)
-                reference_px = self._config.lever_reference_px
-                look = take_look(frames[-1], full_scale_dn, pipeline, reference_px, self._applied, limits)
+                lever = self._config.lever
+                look = take_look(frames[-1], full_scale_dn, pipeline, lever, self._applied, limits)
                 reference = None if look.reference is None else look.reference.spot
                 self.news.show(look.image, look.spot, reference, look.beam)
                 self.note = "; ".join(text for _, text in stream.take_events()) or self.note

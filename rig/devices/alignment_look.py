@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
+from calibration import Lever
 from processing.spot import Spot, SpotFlag
 from rig.devices import picture
 from rig.devices.picture import PictureFigures
-from rig.instrument import Pipeline, beam_quality
+from rig.instrument import Pipeline, beam_quality, reference_px
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, decimals, palette
 
@@ -20,6 +21,7 @@ _MAX_CENTRE_DISTANCE = 0.1
 """Largest distance of a centred spot from the crosshair, over the frame's shorter side."""
 _MIN_EDGE_DISTANCE = 0.15
 """Distance from all edges, over the frame's shorter side, from which a spot off the centre may swing."""
+_LESS_LIGHT = "expose shorter, or less gain"
 _OFF_CENTRE_REMEDY = "at rest it belongs to the crosshair; a swing passes there"
 _MIN_SHARPNESS_RATIO = 0.95
 """Smallest ratio of the sharpness of a good focus to the best so far."""
@@ -61,34 +63,24 @@ class ReferenceSpot(NamedTuple):
 
 
 class AlignmentFrame(NamedTuple):
-    """A frame (ny, nx) in DN for display, with the spot, its figures and the verdicts on them.
-
-    Attributes
-    ----------
-    spot
-        Fitted spot; its fields are NaN if none was found.
-    crosshair_px
-        Position (x, y) at which the spot should rest: the light lever's reference, else the middle of the
-        pendulum's part of the frame.
-    applied
-        Settings that the camera has read back.
-    beam
-        The verdict on the beam; None where it was not judged.
-    reference
-        The reference's spot, in the frame's px; None without a reference, or where it was not searched for.
-    limits
-        Limits of the peak.
-    """
+    """A frame (ny, nx) in DN for display, with the spot, its figures and the verdicts on them."""
 
     image: Image
     full_scale_dn: int
     figures: PictureFigures
     spot: Spot
+    """Fitted spot; its fields are NaN if none was found."""
     crosshair_px: tuple[float, float]
+    """Position (x, y) at which the spot should rest: the light lever's reference, else the middle of the
+    pendulum's part of the frame."""
     applied: CameraSettings
+    """Settings that the camera has read back."""
     beam: Verdict | None = None
+    """The verdict on the beam; None where it was not judged."""
     reference: ReferenceSpot | None = None
+    """The reference's spot, in the frame's px; None without a reference, or where it was not searched for."""
     limits: PreflightSettings = PreflightSettings()
+    """Limits of the peak."""
 
     @property
     def has_spot(self) -> bool:
@@ -113,7 +105,7 @@ class AlignmentFrame(NamedTuple):
             Verdict(
                 "saturated",
                 not figures.saturated_px,
-                remedy="expose shorter, or less gain" if figures.saturated_px else "",
+                remedy=_LESS_LIGHT if figures.saturated_px else "",
                 measured=f"{figures.saturated_px} px" if figures.saturated_px else "none",
                 limit="none",
             ),
@@ -197,17 +189,11 @@ def _offset(off_px: tuple[float, float], digits: int) -> str:
     return ", ".join(decimals(value, digits, sign=True) for value in off_px)
 
 
-def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Position (x, y) at which the spot should rest: the reference, else the pendulum `image`'s middle."""
-    rows, columns = image.shape
-    return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
-
-
 def take_look(
     frame: Frame,
     full_scale_dn: int,
     pipeline: Pipeline,
-    reference_px: tuple[float, float] | None,
+    lever: Lever | None,
     applied: CameraSettings,
     limits: PreflightSettings,
 ) -> AlignmentFrame:
@@ -224,13 +210,8 @@ def take_look(
     figures = picture.figures(pendulum_image, full_scale_dn)
     if beam.ok and figures.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged
-        beam = replace(
-            beam,
-            ok=False,
-            reason=f"{figures.saturated_px} px are saturated",
-            remedy="expose shorter, or less gain",
-        )
-    crosshair_px = crosshair_of(pendulum_image, reference_px)
+        beam = replace(beam, ok=False, reason=f"{figures.saturated_px} px are saturated", remedy=_LESS_LIGHT)
+    crosshair_px = reference_px(lever, pendulum_image.shape)
     return AlignmentFrame(image, full_scale_dn, figures, spot, crosshair_px, applied, beam, reference, limits)
 
 

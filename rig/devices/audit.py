@@ -11,11 +11,10 @@ from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 
+from rig.control import run_in_thread
 from rig.terminal import say
 
 AUDIT_NAME = "audit.jsonl"
-_MAX_IDLE_S = 1.0
-"""Time without a new line after which the thread ends."""
 _MAX_WRITE_S = 5.0
 """Longest wait for the log to be written, so that a hanging disk does not block for longer."""
 
@@ -40,15 +39,14 @@ class AuditEntry(StrEnum):
 class AuditLog:
     """Adds lines to the log of a folder (None: no log), in their order, for a program with this task.
 
-    A thread of its own writes them. A log that cannot be written is reported, and stops nothing.
+    Threads of their own write them. A log that cannot be written is reported, and stops nothing.
     """
 
     def __init__(self, folder: Path | None, operator: str, task: str) -> None:
         self._path = None if folder is None else folder.absolute() / AUDIT_NAME
         self._session = {"operator": operator, "task": task}
         self._queue: queue.Queue[dict[str, object]] = queue.Queue()
-        self._thread_lock = threading.Lock()
-        self._thread: threading.Thread | None = None
+        self._write_lock = threading.Lock()
 
     def append(self, kind: AuditEntry, reason: str, **details: object) -> None:
         """Queue a line for writing; returns at once, in any thread."""
@@ -56,11 +54,8 @@ class AuditLog:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         author = {"user": _user(), "host": socket.gethostname(), **self._session}
-        with self._thread_lock:
-            self._queue.put({"utc": now, **author, "what": kind, "why": reason, **details})
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
-                self._thread.start()
+        self._queue.put({"utc": now, **author, "what": kind, "why": reason, **details})
+        run_in_thread(self._write)
 
     def wait(self) -> None:
         """Wait until everything is written, for at most 5 s."""
@@ -71,15 +66,9 @@ class AuditLog:
             say(f"{self._path}: the audit log is not written: its disk does not answer", error=True)
 
     def _write(self) -> None:
-        while True:
-            try:
-                line = self._queue.get(timeout=_MAX_IDLE_S)
-            except queue.Empty:
-                with self._thread_lock:
-                    if self._queue.empty():
-                        self._thread = None
-                        return
-                continue
+        # one thread for each line that was queued, which writes the oldest
+        with self._write_lock:
+            line = self._queue.get()
             try:
                 self._add(line)
             except OSError as error:

@@ -5,7 +5,8 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from calibration import ClockRelation, relate_clocks
 from processing.errors import DataError, DeviceError
 from processing.units import seconds
+from rig.control import run_in_thread
 from rig.instrument import CameraClock
 
 _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
@@ -82,12 +84,10 @@ def wait_for_network_clock(
 
 
 def _clock_state(camera: Camera) -> str:
-    if isinstance(camera, HasFeatures):
-        for name in PTP_STATUS_FEATURES:
-            value = camera.feature_value(name)
-            if value is not None:
-                return str(value)
-    return ""
+    if not isinstance(camera, HasFeatures):
+        return ""
+    values = map(camera.feature_value, PTP_STATUS_FEATURES)
+    return next((str(value) for value in values if value is not None), "")
 
 
 _ANCHOR_INTERVAL_NS = 10_000_000_000
@@ -116,8 +116,7 @@ def read_clocks() -> HostClockReading:
 class ClockAnchors:
     """Anchors of the computer's two clocks, every 10 s and after every step of the clock of the day."""
 
-    def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
-        self._read = read
+    def __init__(self) -> None:
         self._last: HostClockReading | None = None
         self._due_ns = 0
 
@@ -126,7 +125,7 @@ class ClockAnchors:
 
         `time_ns` is the time of the latest frame.
         """
-        now, last = self._read(), self._last
+        now, last = read_clocks(), self._last
         self._last = now
         events: list[Event] = []
         if last is not None:
@@ -156,7 +155,7 @@ _FIRST_FIT_NS, _FIT_INTERVAL_NS = 3_000_000_000, 10_000_000_000
 class ClockRate:
     """Rate of the camera's clock: every 10 s of the run a line is fitted to some hundred pairs of times.
 
-    A thread of its own fits it, so that frames do not wait for the 10 ms that a fit takes; the next call
+    A thread of its own fits it, so that frames do not wait for the 10 ms that a fit takes; a later call
     raises its error.
     """
 
@@ -165,8 +164,7 @@ class ClockRate:
         self._stride = 1
         self._frame_count = 0
         self._due_ns = 0
-        self._thread: threading.Thread | None = None
-        self._error: Exception | None = None
+        self._fit: Future[tuple[float, float] | None] | None = None
         self._rate_ppm = (math.nan, math.nan)
         self._steps_s: list[float] = []
 
@@ -177,9 +175,9 @@ class ClockRate:
             # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
                 self._add_pair(frame)
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
+        if self._fit is not None and self._fit.done():
+            fit, self._fit = self._fit, None
+            self._rate_ppm = fit.result() or self._rate_ppm
         largest_s = max(self._steps_s, key=abs, default=0.0)
         return CameraClock(*self._rate_ppm, len(self._steps_s), largest_s)
 
@@ -193,21 +191,18 @@ class ClockRate:
                 self._stride *= 2
         if not self._due_ns:
             self._due_ns = host_ns + _FIRST_FIT_NS
-        if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
+        if host_ns >= self._due_ns and self._fit is None:
             self._due_ns = host_ns + _FIT_INTERVAL_NS
-            table = np.array(self._pairs, dtype=np.int64)
-            self._thread = threading.Thread(target=self._fit, args=(table,), name="clock", daemon=True)
-            self._thread.start()
+            self._fit = run_in_thread(_fitted_rate_ppm, np.array(self._pairs, dtype=np.int64))
 
-    def _fit(self, table: NDArray[np.int64]) -> None:
-        try:
-            # of frames that were read at the same moment, the first is kept
-            keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
-            device_ns, host_ns, sequence = table[keep].T
-            relation = relate_clocks(device_ns, host_ns, sequence)
-        except DataError:
-            return  # too few pairs so far
-        except Exception as error:
-            self._error = error
-            return
-        self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)
+
+def _fitted_rate_ppm(table: NDArray[np.int64]) -> tuple[float, float] | None:
+    """The rate and its u from rows of camera's time, host's time and number; None with too few pairs."""
+    # of frames that were read at the same moment, the first is kept
+    keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
+    device_ns, host_ns, sequence = table[keep].T
+    try:
+        relation = relate_clocks(device_ns, host_ns, sequence)
+    except DataError:
+        return None
+    return relation.drift_ppm, relation.u_drift_ppm

@@ -5,7 +5,6 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
@@ -41,25 +40,14 @@ def read_sleep_ns() -> int:
             return with_sleep_ns - awake_ns
 
 
-class SleepWatch:
-    """Refuses frames of a computer that has slept since `begin`; `read_ns` returns its time of sleep."""
-
-    def __init__(self, read_ns: Callable[[], int] = read_sleep_ns) -> None:
-        self._read_ns = read_ns
-        self.begin()
-
-    def begin(self) -> None:
-        """Compare with this moment from now on."""
-        self._earlier_ns = self._read_ns()
-
-    def raise_if_slept(self) -> None:
-        """Raise DeviceError if the computer has slept since `begin`; called with every frame."""
-        slept_ns = self._read_ns() - self._earlier_ns
-        if slept_ns > _MIN_SLEEP_NS:
-            raise DeviceError(
-                f"the computer slept for {seconds(slept_ns):.0f} s, in which its clock stood: times after it "
-                "cannot be believed; keep it awake while it measures (systemd-inhibit rig run ..., lid open)"
-            )
+def raise_if_slept(earlier_ns: int) -> None:
+    """Raise DeviceError if the computer has slept since `read_sleep_ns` returned `earlier_ns`."""
+    slept_ns = read_sleep_ns() - earlier_ns
+    if slept_ns > _MIN_SLEEP_NS:
+        raise DeviceError(
+            f"the computer slept for {seconds(slept_ns):.0f} s, in which its clock stood: times after it "
+            "cannot be believed; keep it awake while it measures (systemd-inhibit rig run ..., lid open)"
+        )
 
 
 _log = logging.getLogger(__name__)
@@ -68,7 +56,8 @@ _POLL_INTERVAL_S = 0.05
 _MIN_QUEUE_FRAMES, _MAX_FRAMES_ON_DEMAND = 8, 64
 _FIRST_FRAME_TIMEOUT_S = 0.5
 """Timeout of each attempt to read the first frame, after which a stop is noticed."""
-_REOPEN_INTERVAL_S = 0.25
+_REOPEN_INTERVAL_S, _RECONNECT_S = 0.25, 60.0
+"""Interval of attempts to open a lost camera again, and time after which they end."""
 
 
 class FrameStream:
@@ -87,7 +76,6 @@ class FrameStream:
         *,
         policy: Policy = "drop",
         timeout_s: float = 5.0,
-        reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
         time_shift_ns: int = 0,
         applied: CameraSettings | None = None,
@@ -98,7 +86,6 @@ class FrameStream:
         self._all_settings = settings if applied is None else with_read_back(settings, applied)
         self.policy: Policy = policy
         self._timeout_s = timeout_s
-        self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
         # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
@@ -110,7 +97,7 @@ class FrameStream:
         self._has_begun = threading.Event()
         self._first_frame: Frame | None = None
         self._events = self._line.events
-        self._sleep_watch = SleepWatch()
+        self._earlier_sleep_ns = read_sleep_ns()
         self._earlier_losses = self._last_losses = FrameLosses()
         self._losses_due_ns = 0
         self._silent_s, self._was_reopened = 0.0, False
@@ -124,7 +111,7 @@ class FrameStream:
         """Start the camera; `begin` waits for its first frame."""
         with driver_errors("camera", "start()"):
             self._camera.start()
-        self._sleep_watch.begin()
+        self._earlier_sleep_ns = read_sleep_ns()
 
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
@@ -234,7 +221,7 @@ class FrameStream:
                     self.end_reason = self.end_reason or "the camera delivered its last frame"
                     return
                 if self.policy != "wait":
-                    self._sleep_watch.raise_if_slept()
+                    raise_if_slept(self._earlier_sleep_ns)
                 if self._silent_s and self._has_begun.is_set():
                     text = f"after more than {self._silent_s:.2f} s of silence"
                     self._events.append((EventKind.CAMERA_SPEAKS, text))
@@ -303,7 +290,7 @@ class FrameStream:
         )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
-        deadline_s = time.monotonic() + self._reconnect_s
+        deadline_s = time.monotonic() + _RECONNECT_S
         earlier_counts = self._counts.latest
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
@@ -320,7 +307,7 @@ class FrameStream:
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return
-        raise CameraLost(f"{lost}; it could not be reopened within {self._reconnect_s:g} s")
+        raise CameraLost(f"{lost}; it could not be reopened within {_RECONNECT_S:g} s")
 
     def _configure_again(self) -> str:
         """Set the requested settings and the camera's other ones; returns the differences after that."""

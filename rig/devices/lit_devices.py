@@ -80,11 +80,9 @@ class LitDevices:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
 
         `on_request` states that a person asks for light now, which is required after a trip, also after an
-        acknowledged one. A request `in_run` is valid only while the present run processes frames.
-
-        It is called when the first frame is due: from then on frames must be read and taken, else the laser
-        is switched off again (`LightPermit`). Raises LightRefused while a trip is not acknowledged. Nothing
-        else in this program lights a laser.
+        acknowledged one. A request `in_run` is valid only while the present run processes frames. From the
+        call on frames must be read and taken, else the laser is switched off again (`LightPermit`). Raises
+        LightRefused while a trip is not acknowledged. Nothing else in this program lights a laser.
         """
         self.obey_presses()
         if trip := self.permit.latched:
@@ -120,7 +118,12 @@ class LitDevices:
         if reason := self.darkness():
             self.note_dark(reason)
             if self.state.path is not None or not through_controller(self._config.laser):
-                self._note_lit()
+                # without a note in the rig's state a trip would be forgotten
+                try:
+                    self.state.note_light(True)
+                except DeviceError as error:
+                    self.audit(AuditEntry.REFUSED, str(error))
+                    raise LightRefused(f"the laser stays off: {error}") from None
             # before it is lit, because a disk may hang
             self.audit(AuditEntry.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
@@ -139,14 +142,6 @@ class LitDevices:
         """The error of a device, with how a simulated camera runs without the device."""
         hint = self._config.rehearsal_hint
         return DeviceError(f"{error}; {hint}") if hint else error
-
-    def _note_lit(self) -> None:
-        """Note the light in the rig's state; LightRefused if that fails, as a trip would be forgotten."""
-        try:
-            self.state.note_light(True)
-        except DeviceError as error:
-            self.audit(AuditEntry.REFUSED, str(error))
-            raise LightRefused(f"the laser stays off: {error}") from None
 
     def darken(self, reason: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""

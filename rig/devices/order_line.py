@@ -112,7 +112,9 @@ class OrderConnection:
                 ) from None
             except (OSError, EOFError, ValueError) as error:
                 self.close()
-                raise self._failure(error) from None
+                error_class = SessionBusy if isinstance(error, (TimeoutError, BlockingIOError)) else NoSession
+                reason = error or "it has hung up"
+                raise error_class(f"{self.folder}: its session does not answer: {reason}") from None
         self._has_answered = self._has_answered or lives(self.pid)
         return is_done, answer
 
@@ -140,10 +142,6 @@ class OrderConnection:
             connection.close()
             raise AuthenticationError from None
         return connection
-
-    def _failure(self, error: Exception) -> NoSession:
-        error_class = SessionBusy if isinstance(error, (TimeoutError, BlockingIOError)) else NoSession
-        return error_class(f"{self.folder}: its session does not answer: {error or 'it has hung up'}")
 
 
 def running_sessions(output: Path) -> Iterator[Path]:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
 from processing.deflections import Deflections
@@ -34,7 +33,6 @@ from rig.terminal import Verdict, plain_values
 PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""
 _PATH_POINTS = 400
-_PICTURE_INTERVAL_S = 0.1
 _MAX_ABSENCE_S = 60.0
 """Longest absence of a desk, which may come back, before a run that waits for an acknowledgement ends."""
 
@@ -55,7 +53,7 @@ class SessionPicture(NamedTuple):
 class SessionNews:
     """The state of a session, which its threads write, and which those that answer requests read.
 
-    It holds a reference to the newest frame that a program has requested, at most ten times a second.
+    It holds a reference to the newest frame that a program has requested.
     """
 
     def __init__(self) -> None:
@@ -64,7 +62,6 @@ class SessionNews:
         """Monotonic times of the last requests for news, and for a picture."""
         self._picture_requested = False
         self._picture_number = 0
-        self._picture_s = 0.0
         self._frame: SessionPicture | None = None
         self._begin("", "", {})
 
@@ -118,8 +115,8 @@ class SessionNews:
             # a spot that was never found counts as lost since the first frame
             if math.isnan(self._spot_s) or not spots[-1].flags & SpotFlag.LOST:
                 self._spot_s = now_s
-        if self._picture_requested and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
-            self._picture_requested, self._picture_s = False, now_s
+        if self._picture_requested and frames and spots:
+            self._picture_requested = False
             self.show(frames[-1].image, spots[-1], block.references[-1] if block.references else None)
 
     def show(
@@ -172,13 +169,11 @@ def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
     # there may be thousands of single deflections, so they are joined before they are divided by their unit
     size = path[0].unit.shown_size
-    x = np.concatenate([piece.x for piece in path])[::step] / size
-    y = np.concatenate([piece.y for piece in path])[::step] / size
-    return {"x": _or_none(x), "y": _or_none(y)}
-
-
-def _or_none(values: NDArray[np.float64]) -> list[float | None]:
-    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
+    shown: dict[str, list[float | None]] = {}
+    for name in ("x", "y"):
+        values = np.concatenate([getattr(piece, name) for piece in path])[::step] / size
+        shown[name] = [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
+    return shown
 
 
 ORDERS_NAME = ".orders.json"
@@ -345,10 +340,8 @@ def _tell_dark(devices: Devices, news: SessionNews) -> None:
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:
-    """Write the file at once, readable by this user only, over one that a killed program has left.
-
-    Raises ConfigurationError where the program of the present file lives.
-    """
+    """Write the file at once, for this user only, over one that a killed program has left; if its program
+    lives, ConfigurationError."""
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "w", encoding="ascii") as file:

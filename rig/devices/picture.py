@@ -24,25 +24,17 @@ _MARGIN_PX = 2
 
 
 class PictureFigures(NamedTuple):
-    """Figures of one picture.
-
-    Attributes
-    ----------
-    peak
-        Brightest value as a fraction of full scale, without single hot pixels (median of 3 x 3).
-    saturated_px
-        Pixels at full scale.
-    background
-        Median of the picture as a fraction of full scale.
-    sharpness_per_px
-        sqrt(sum |grad I|^2 / sum I^2), where I is the light above the background. For a round Gaussian
-        spot of standard deviation s it is 1 / s, whatever the exposure. 0 for a picture without light.
-    """
+    """Figures of one picture."""
 
     peak: float
+    """Brightest value as a fraction of full scale, without single hot pixels (median of 3 x 3)."""
     saturated_px: int
+    """Number of pixels at full scale."""
     background: float
+    """Median of the picture as a fraction of full scale."""
     sharpness_per_px: float
+    """sqrt(sum |grad I|^2 / sum I^2), where I is the light above the background; 0 without light. For a round
+    Gaussian spot of standard deviation s it is 1 / s, whatever the exposure."""
 
 
 def figures(image: Image, full_scale_dn: int) -> PictureFigures:
@@ -81,12 +73,8 @@ def _lit_part(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64
 
 def average(frames: Sequence[Frame]) -> Image:
     """Mean of frames, in their pixel type; reduces noise and speckle."""
-    first_image = frames[0].image
-    total = np.zeros(first_image.shape, np.float64)
-    for frame in frames:
-        total += frame.image
-    mean = np.rint(total / len(frames))
-    return mean.astype(np.uint8) if first_image.dtype == np.uint8 else mean.astype(np.uint16)
+    mean: NDArray[np.float64] = np.rint(np.mean([frame.image for frame in frames], axis=0))
+    return mean.astype(np.uint8) if frames[0].image.dtype == np.uint8 else mean.astype(np.uint16)
 
 
 def png_of(image: NDArray[Any], path: Path) -> bytes:
@@ -190,12 +178,8 @@ def find_exposure(
 def _measure(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
     frames = read_frames(camera, _MEDIAN_FRAMES, _FRAME_TIMEOUT_S, on_frame)
     pictures = [figures(frame.image, info.full_scale_dn) for frame in frames]
-    return PictureFigures(
-        statistics.median(picture.peak for picture in pictures),
-        max(picture.saturated_px for picture in pictures),
-        statistics.median(picture.background for picture in pictures),
-        statistics.median(picture.sharpness_per_px for picture in pictures),
-    )
+    medians = PictureFigures(*map(statistics.median, zip(*pictures, strict=True)))
+    return medians._replace(saturated_px=max(picture.saturated_px for picture in pictures))
 
 
 _MAX_LIMIT = 2.0**62

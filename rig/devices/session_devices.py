@@ -12,7 +12,7 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.frames.guard import check_applied_settings, check_info, driver_errors, end_within
 from acquisition.record.events import EventKind
-from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.inputs import FaultSettings, RigInputs
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import (
     AmbientSensor,
@@ -56,10 +56,8 @@ class OpenCamera(NamedTuple):
 
 @contextmanager
 def _press_watch(devices: LitDevices) -> Iterator[None]:
-    """Context in which a thread checks for presses of LIGHT OFF by programs that cannot send an order here.
-
-    The thread is its own, so that a hanging disk delays no command to a device.
-    """
+    """Context in which presses of LIGHT OFF are looked for, by programs that cannot send an order here."""
+    # a thread of its own, so that a hanging disk delays no command to a device
     stop = threading.Event()
 
     def check() -> None:
@@ -134,15 +132,10 @@ class Devices(LitDevices):
         if self.state.path is not None:
             self._closing.enter_context(_press_watch(self))
         if config.controller.kind != "none":
+            sensor = config.environment_sensor
+            period_s = sensor.period_s if sensor.kind == "controller" else None
             self.control = self._closing.enter_context(
-                ControlService(
-                    self.make_controller(),
-                    config.controller,
-                    config.environment_sensor.period_s
-                    if config.environment_sensor.kind == "controller"
-                    else None,
-                    self.permit,
-                )
+                ControlService(self.make_controller(), config.controller, period_s, self.permit)
             )
             try:
                 self.control.wait_open()
@@ -152,12 +145,10 @@ class Devices(LitDevices):
             self.sensor = self._closing.enter_context(AmbientSensor(config.environment_sensor))
         if (seismometer := make_seismometer(config)) is not None:
             self.seismometer = self._closing.enter_context(seismometer)
-        laser = make_laser(config.laser)
-        if laser is not None:
-            has_own_interlock = config.laser.interlock == "own"
-            self.laser = self._closing.enter_context(
-                LaserService(laser, permit=self.permit, has_own_interlock=has_own_interlock)
-            )
+        if (laser := make_laser(config.laser)) is not None:
+            is_own = config.laser.interlock == "own"
+            service = LaserService(laser, permit=self.permit, has_own_interlock=is_own)
+            self.laser = self._closing.enter_context(service)
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
@@ -214,10 +205,8 @@ class Devices(LitDevices):
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
         set_power = inputs.laser if config.laser.kind == "controller" else lambda _: None
-        interlock = SimulatedInterlock(
-            config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, set_power
-        )
-        return simulated_controller(config.controller, limit_w, inputs, interlock.laser, interlock.closed)
+        laser, is_closed = _simulated_interlock(config.faults, set_power)
+        return simulated_controller(config.controller, limit_w, inputs, laser, is_closed)
 
     def required_control(self, task: str) -> ControlService:
         """The controller; raises ConfigurationError, which names the task, without one."""
@@ -227,10 +216,9 @@ class Devices(LitDevices):
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the devices since the last call, as (kind, text); never blocks."""
-        kinds = EventKind.CONTROLLER, EventKind.LASER, EventKind.SENSOR, EventKind.SENSOR
-        devices = self.control, self.laser, self.sensor, self.seismometer
-        pairs = [(kind, device) for kind, device in zip(kinds, devices, strict=True) if device is not None]
-        return [(kind, text) for kind, device in pairs for text in device.take_events()]
+        sensors = (EventKind.SENSOR, self.sensor), (EventKind.SENSOR, self.seismometer)
+        devices = (EventKind.CONTROLLER, self.control), (EventKind.LASER, self.laser), *sensors
+        return [(kind, text) for kind, device in devices if device for text in device.take_events()]
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.
@@ -247,25 +235,20 @@ class Devices(LitDevices):
         return air.temperature_c, air.humidity_percent, air.pressure_pa
 
 
-class SimulatedInterlock:
-    """A simulated interlock, which opens `opens_at_s` after the laser was first lit (None: never).
+def _simulated_interlock(
+    faults: FaultSettings, set_power: Callable[[float], None]
+) -> tuple[Callable[[float], None], Callable[[], bool]]:
+    """What sets the laser's power in W, and whether the interlock is closed, which opens after it was lit."""
+    lit_s = math.inf
 
-    It stays open for `open_for_s`. `laser` is called with the laser's power in W.
-    """
+    def laser(power_w: float) -> None:
+        nonlocal lit_s
+        if power_w > 0:
+            lit_s = min(lit_s, time.monotonic())
+        set_power(power_w)
 
-    def __init__(self, opens_at_s: float | None, open_for_s: float, laser: Callable[[float], None]) -> None:
-        self._opens_at_s, self._open_for_s = opens_at_s, open_for_s
-        self._laser = laser
-        self._lit_s: float | None = None
+    def is_closed() -> bool:
+        opens_s = math.inf if faults.interlock_opens_at_s is None else lit_s + faults.interlock_opens_at_s
+        return not 0 <= time.monotonic() - opens_s < faults.interlock_open_for_s
 
-    def laser(self, power_w: float) -> None:
-        """Note the laser's power in W, and pass it on."""
-        if power_w > 0 and self._lit_s is None:
-            self._lit_s = time.monotonic()
-        self._laser(power_w)
-
-    def closed(self) -> bool:
-        """Whether the loop is closed."""
-        if self._opens_at_s is None or self._lit_s is None:
-            return True
-        return not 0 <= time.monotonic() - self._lit_s - self._opens_at_s < self._open_for_s
+    return laser, is_closed

@@ -35,10 +35,10 @@ from rig.instrument.configured_camera import (
 )
 from rig.instrument.pipeline import (
     Block,
-    DeflectionConverter,
     Optics,
     Pipeline,
     optics_of,
+    reference_px,
     sensor_model,
 )
 from rig.instrument.provenance import (

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from processing.contact import pendulum_on_ball as pendulum_after_hertz
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
-from rig.instrument.pipeline import DeflectionConverter
+from rig.instrument.pipeline import reference_px
 from rig.settings import Configuration
 from rig.terminal import Verdict, judged_number, percent
 
@@ -78,32 +78,25 @@ _MIN_EXCESS_U: Final = 2.0
 """Minimum excess over a limit, in standard uncertainties, with which a single period fails its condition."""
 
 
-class _Condition(NamedTuple):
-    """Name of a condition, what is wrong where it fails, and what to do."""
-
-    name: str
-    reason: str
-    remedy: str
-
-
-_CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
-    "transverse motion": _Condition(
-        "transverse motion", "the start pushed it sideways", "release along Y; rig balance"
+_BALANCE: Final = "set the balance with rig balance"
+_SETTLE: Final = "let the pendulum settle before the release; rig balance shows the rotation"
+_CONDITION_OF_CHECK: Final[Mapping[str, tuple[str, str, str]]] = {
+    "transverse motion": (
+        "transverse motion",
+        "the start pushed it sideways",
+        "release along Y; rig balance",
     ),
-    "leakage": _Condition(
-        "ellipticity", "the slow mode draws an ellipse", "set the balance with rig balance"
-    ),
-    "spin": _Condition(
-        PLANE_OF_SWING,
-        "it turns about the vertical",
-        "let the pendulum settle before the release; rig balance shows the rotation",
-    ),
-    "rest position X": _Condition("tilt at rest, X", "it rests askew", "set the balance with rig balance"),
-    "rest position Y": _Condition("tilt at rest, Y", "it rests askew", "set the balance with rig balance"),
+    "leakage": ("ellipticity", "the slow mode draws an ellipse", _BALANCE),
+    "spin": (PLANE_OF_SWING, "it turns about the vertical", _SETTLE),
+    "rest position X": ("tilt at rest, X", "it rests askew", _BALANCE),
+    "rest position Y": ("tilt at rest, Y", "it rests askew", _BALANCE),
 }
-"""Conditions of a run by the check of its balance; the direction of the line is the camera's, and is none."""
+"""Name of a condition of a run, what is wrong where it fails, and what to do, by the check of its balance.
 
-BALANCE_CONDITIONS: Final = frozenset(condition.name for condition in _CONDITION_OF_CHECK.values())
+The direction of the line is the camera's, and is no condition.
+"""
+
+BALANCE_CONDITIONS: Final = frozenset(name for name, _, _ in _CONDITION_OF_CHECK.values())
 """Names of the conditions of a run that its balance decides."""
 
 
@@ -136,27 +129,22 @@ def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[
         # ratios and angles need no lever; the limits of the rest position are in arcsec
         balance = replace(balance, unit=DeflectionUnit.RAD, rest_x=math.nan, rest_y=math.nan)
     return [
-        _verdict(_CONDITION_OF_CHECK[check.name], check, beyond_u)
+        _verdict(check, beyond_u)
         for check in balance_checks(balance, (math.nan, math.nan), limits)
         if check.is_known and check.name in _CONDITION_OF_CHECK
     ]
 
 
-def _verdict(condition: _Condition, check: BalanceCheck, beyond_u: float) -> Verdict:
+def _verdict(check: BalanceCheck, beyond_u: float) -> Verdict:
+    name, *fault = _CONDITION_OF_CHECK[check.name]
     ok = check.ok or not abs(check.value) - beyond_u * check.u_value > check.limit
     if check.unit:
         measured = f"{judged_number(check.value, check.u_value, check.limit)} {check.unit}"
         limit = f"{check.limit:g} {check.unit}"
     else:
         measured, limit = percent(abs(check.value)), f"{100 * check.limit:g} %"
-    return Verdict(
-        condition.name,
-        ok,
-        "" if ok else condition.reason,
-        "" if ok else condition.remedy,
-        measured=measured,
-        limit=limit,
-    )
+    reason, remedy = ("", "") if ok else fault
+    return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
 
 Floats = NDArray[np.float64]
@@ -222,12 +210,12 @@ def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | 
     if config.lever is None:
         return None
     ny, nx = sensor_shape
-    reference_px = DeflectionConverter(config.lever, config.axes or Axes(), sensor_shape).reference_px
+    zero_px = reference_px(config.lever, sensor_shape)
     middle_px = np.array([0.5 * (nx - 1), 0.5 * (ny - 1)])
     points_px = middle_px + np.array([[0, 0], [1, 0], [0, 1]])
     zero = np.zeros(3)
     x_px, y_px = points_px.T
-    tilts = deflections(config.lever, config.axes or Axes(), x_px, y_px, zero, zero, reference_px)
+    tilts = deflections(config.lever, config.axes or Axes(), x_px, y_px, zero, zero, zero_px)
     middle, right, down = np.column_stack(tilts[:2]) / ARCSEC_RAD
     px_per_arcsec = np.linalg.inv(np.column_stack([right - middle, down - middle]))
     scale = np.linalg.norm(px_per_arcsec, axis=1)
@@ -267,29 +255,16 @@ def _checks_line(checks: Sequence[BalanceCheck]) -> str:
     return f"{verdict} that are known; unknown: {unknown}" if unknown and not failed else verdict
 
 
-class Advice(NamedTuple):
-    """The next step, and one line for each fault; empty if there is no advice."""
-
-    next_step: str = ""
-    faults: tuple[str, ...] = ()
-
-    @property
-    def markdown(self) -> str:
-        if not self.next_step:
-            return ""
-        return "\n".join([f"**{self.next_step}**", "", *(f"- {fault}" for fault in self.faults)])
-
-
 def advice_for(
     config: Configuration, balance: Balance, learned: WeightResponses | None = None, room: Room | None = None
-) -> Advice:
-    """The faults of a balance and the weight to turn.
+) -> str:
+    """The weight to turn and the faults of a balance, as Markdown.
 
     It is based on the effects that `rig balance` has `learned`, or else on the nominal ones. Empty for a
     balance in px, because the limits are in arcsec, and for a recorded balance without rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
-        return Advice()
+        return ""
     height_m = mass_centre_height(config, balance)
     checks = balance_checks(balance, height_m, config.balance)
     state = np.array([checks[0].value, checks[1].value, height_m[0]])
@@ -298,9 +273,9 @@ def advice_for(
     turn = None if responses is None else responses.advise(state, room)
     next_step = _checks_line(checks) if responses is None else turn_text(turn, checks)
     faults = [
-        f"{check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
+        f"- {check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
         f"(limit {check.limit:g}): {check.meaning}"
         for check in checks
         if not check.ok
     ]
-    return Advice(next_step, tuple(faults))
+    return "\n".join([f"**{next_step}**", "", *faults])

@@ -35,7 +35,10 @@ def fill_from_files(config: Configuration) -> Configuration:
         if path is None:
             continue
         file = parse_calibration(_read(path, kind), str(path), kind)
-        tree = {"camera": {"driver": config.camera.driver}, section: _section_values(file)}
+        section_tree = {**file.values}
+        if kind == "sensor" and (hot_pixels := file.details.get("hot_pixels_xy")):
+            section_tree["hot_pixels_xy"] = hot_pixels
+        tree = {"camera": {"driver": config.camera.driver}, section: section_tree}
         values = getattr(validate_configuration(tree, str(path)), section)
         if isinstance(values, Lever):
             values = values.with_binning(config.camera.pitch_factor)
@@ -72,12 +75,6 @@ def _with_measured_drag(config: Configuration, file: CalibrationFile, path: Path
     return new_settings
 
 
-def _section_values(file: CalibrationFile) -> dict[str, Any]:
-    """Values of the section: those of the file, and for a sensor its hot pixels from the details."""
-    hot_pixels = file.details.get("hot_pixels_xy") if file.kind == "sensor" else None
-    return {**file.values, **({"hot_pixels_xy": hot_pixels} if hot_pixels else {})}
-
-
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     """Contents of the calibration files in use, by attachment name."""
     paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, *_KINDS_WITHOUT_SECTION)}
@@ -108,7 +105,12 @@ def judge_calibration(
         if data is not None:
             file = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
             tree[kind] = _result_entry(file, data, start)
-            warnings += _expiry_warnings(kind, file, start)
+            if file.expired(start):
+                days = (start - file.measured_at).total_seconds() / 86400
+                warnings.append(
+                    f"the calibration of the {kind} had expired on {file.valid_until:%Y-%m-%d}: "
+                    f"it was measured on {file.measured_at:%Y-%m-%d}, {days:.0f} d before the run"
+                )
         elif kind in _KINDS_WITHOUT_SECTION or (kind == "shutter" and config.shutter is None):
             continue  # a global shutter needs no calibration
         elif config.simulated:
@@ -126,15 +128,6 @@ def judge_calibration(
     if checks:
         tree["checks"] = checks
     return tree, [*warnings, *lines]
-
-
-def _expiry_warnings(kind: str, file: CalibrationFile, time: datetime.datetime) -> list[str]:
-    """The warning of a calibration that had expired before the run; empty for a valid one."""
-    if not file.expired(time):
-        return []
-    days = (time - file.measured_at).total_seconds() / 86400
-    reason = f"it was measured on {file.measured_at:%Y-%m-%d}, {days:.0f} d before the run"
-    return [f"the calibration of the {kind} had expired on {file.valid_until:%Y-%m-%d}: {reason}"]
 
 
 def _result_entry(file: CalibrationFile, data: bytes, time: datetime.datetime) -> dict[str, Any]:

@@ -134,6 +134,7 @@ def _readout_s(config: Configuration, info: CameraInfo, applied: CameraSettings)
 
 SIMULATED_BALL = "simulated_ball"
 SIMULATED_FLAT = "simulated_flat"
+_AXES_KEYS = "slow_angle_rad", "non_orthogonality_rad", "mirrored"
 
 
 def fill_from_truth(config: Configuration) -> Configuration:
@@ -145,10 +146,10 @@ def fill_from_truth(config: Configuration) -> Configuration:
     truth = config.simulation
     return config.model_copy(
         update={
-            "sensor": config.sensor or _sensor(truth, config),
+            "sensor": config.sensor or _sensor(truth, config.camera),
             "shutter": config.shutter or _shutter(truth, config.camera.binning or 1),
             "lever": config.lever or _lever(truth, config.camera),
-            "axes": config.axes or _axes(truth),
+            "axes": config.axes or Axes(**{name: getattr(truth.axes, name) for name in _AXES_KEYS}),
             "pendulum": config.pendulum or _pendulum(truth),
             "materials": {**_materials(truth), **config.materials},
             "balance": _balance(truth, config.balance),
@@ -156,14 +157,9 @@ def fill_from_truth(config: Configuration) -> Configuration:
     )
 
 
-def _sensor(truth: SimulationSettings, config: Configuration) -> SensorModel:
-    camera = config.camera
-    bit_depth = (
-        truth.sensor.bit_depth
-        if camera.pixel_format is None
-        else int(camera.pixel_format.removeprefix("mono"))
-    )
-    binning = camera.binning or 1
+def _sensor(truth: SimulationSettings, camera: CameraSettings) -> SensorModel:
+    pixel_format, binning = camera.pixel_format or f"mono{truth.sensor.bit_depth}", camera.binning or 1
+    bit_depth = int(pixel_format.removeprefix("mono"))
     sensor_state = truth.sensor.at(bit_depth, camera.gain_db or 0.0).binned(binning)
     return SensorModel(
         gain_e_per_dn=sensor_state.gain_e_per_dn,
@@ -200,15 +196,6 @@ def _lever(truth: SimulationSettings, camera: CameraSettings) -> Lever:
         reference_y_px=in_frame(
             optics.reference_y_px, sensor.height_px, camera.offset_y_px, camera.height_px
         ),
-    )
-
-
-def _axes(truth: SimulationSettings) -> Axes:
-    axes = truth.axes
-    return Axes(
-        slow_angle_rad=axes.slow_angle_rad,
-        non_orthogonality_rad=axes.non_orthogonality_rad,
-        mirrored=axes.mirrored,
     )
 
 

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -148,39 +149,11 @@ class Pipeline:
         return [*half_cycles, *self._detector.finish()], balances
 
 
-class DeflectionConverter:
-    """Converts spots to deflections: tilts along the pendulum's axes, in rad.
-
-    Without a lever they are displacements along the same axes in px; without stated axes along those of the
-    sensor (x to the right, y upward).
-    """
-
-    def __init__(
-        self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int], shutter: Shutter = GLOBAL
-    ) -> None:
-        self._shutter = shutter
-        self._rows = sensor_shape[0]
-        self._lever = lever
-        self._axes = axes
-        self.unit = deflection_unit(lever)
-        x_px, y_px = 0.5 * (sensor_shape[1] - 1), 0.5 * (sensor_shape[0] - 1)
-        if lever is not None:
-            x_px = x_px if lever.reference_x_px is None else lever.reference_x_px
-            y_px = y_px if lever.reference_y_px is None else lever.reference_y_px
-        self.reference_px = x_px, y_px
-        """Position (x, y) of the spot at zero tilt."""
-
-    def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
-        """Deflections of the spots of frames at these times."""
-        table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
-        x_px, y_px, u_x_px, u_y_px = table.T
-        times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
-        spot_px = x_px, y_px, u_x_px, u_y_px
-        if self._lever is None:
-            values = displacements(self._axes, *spot_px, self.reference_px)
-        else:
-            values = deflections(self._lever, self._axes, *spot_px, self.reference_px)
-        return Deflections(times_ns, *values, self.unit)
+def reference_px(lever: Lever | None, sensor_shape: tuple[int, int]) -> tuple[float, float]:
+    """Position (x, y) of the spot at zero tilt: the lever's reference, else the sensor's middle."""
+    rows, columns = sensor_shape
+    x_px, y_px = (None, None) if lever is None else (lever.reference_x_px, lever.reference_y_px)
+    return 0.5 * (columns - 1) if x_px is None else x_px, 0.5 * (rows - 1) if y_px is None else y_px
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +169,28 @@ class Optics:
     shutter: Shutter = GLOBAL
     reference_row: int | None = None
 
-    def deflector(self, sensor_shape: tuple[int, int]) -> DeflectionConverter:
-        """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""
-        return DeflectionConverter(self.lever, self.axes, sensor_shape, self.shutter)
+    def deflector(
+        self, sensor_shape: tuple[int, int]
+    ) -> Callable[[NDArray[np.int64], Sequence[Spot]], Deflections]:
+        """The conversion of times and spots of frames to deflections, on a sensor of (ny, nx) pixels.
+
+        Deflections are tilts along the pendulum's axes in rad. Without a lever they are displacements along
+        the same axes in px; without stated axes along those of the sensor (x to the right, y upward).
+        """
+        return partial(self._deflections, reference_px(self.lever, sensor_shape), sensor_shape[0])
+
+    def _deflections(
+        self, zero_px: tuple[float, float], rows: int, times_ns: NDArray[np.int64], spots: Sequence[Spot]
+    ) -> Deflections:
+        table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
+        x_px, y_px, u_x_px, u_y_px = table.T
+        times_ns = self.shutter.times_ns(times_ns, y_px, rows)
+        spot_px = x_px, y_px, u_x_px, u_y_px
+        if self.lever is None:
+            values = displacements(self.axes, *spot_px, zero_px)
+        else:
+            values = deflections(self.lever, self.axes, *spot_px, zero_px)
+        return Deflections(times_ns, *values, self.unit)
 
     @property
     def unit(self) -> DeflectionUnit:

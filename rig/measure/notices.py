@@ -3,20 +3,22 @@
 import datetime
 import shutil
 import subprocess
-import threading
 import time
-from collections.abc import Callable
+from concurrent import futures
 from pathlib import Path
 from typing import Literal, Self
 
 from acquisition.record.events import Severity
 from processing.errors import ConfigurationError
+from rig.control import run_in_thread
 from rig.instrument import RecordContents
 from rig.interruption import reason_of
 from rig.measure.preflight import rest_checks
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import say
 
+_AIR_KEYS = "min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c"
+_REST_KEYS = "max_ground_rad_per_s2_rthz", "max_vibration_arcsec"
 _MAX_CALL_S = 20.0
 _MAX_LAST_WAIT_S = 10.0
 _MAX_ALARMS = 20
@@ -34,7 +36,7 @@ class Notices:
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
         self._command = settings.notify_command
         self._folder = folder
-        self.calls: list[threading.Thread] = []
+        self.calls: list[futures.Future[None]] = []
         self.failures: list[str] = []
         self._alarms = 0
 
@@ -50,29 +52,21 @@ class Notices:
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Send a notice; returns at once."""
         if self._command:
-            arguments = (kind, text, str(self._folder.absolute()))
-            name = f"session.notify_command: {self._command[0]}"
-            thread = threading.Thread(target=self._run, args=arguments, name=name, daemon=True)
-            thread.start()
-            self.calls.append(thread)
+            self.calls.append(run_in_thread(self._run, kind, text, str(self._folder.absolute())))
 
     def tell_end(self, status: int) -> None:
         """Send the end of a session by its exit status."""
-        if status:
-            causes = ["not every run was measured and fitted under its conditions"]
-            causes += ["; ".join(self.failures)] if self.failures else []
-            self.tell("failure", ": ".join(causes))
-        else:
+        if not status:
             self.tell("end", "every run was measured and fitted")
+            return
+        what = "not every run was measured and fitted under its conditions"
+        self.tell("failure", ": ".join(filter(None, (what, "; ".join(self.failures)))))
 
     def wait(self) -> None:
         """Wait until all notices are sent, at most `_MAX_LAST_WAIT_S`: the program is about to end."""
-        deadline_s = time.monotonic() + _MAX_LAST_WAIT_S
-        for thread in self.calls:
-            thread.join(max(0.0, deadline_s - time.monotonic()))
-        for command in {thread.name for thread in self.calls if thread.is_alive()}:
-            silence = f"did not answer within {_MAX_LAST_WAIT_S:g} s"
-            say(f"{command} {silence}: it is unknown whether the message arrived", error=True)
+        if futures.wait(self.calls, _MAX_LAST_WAIT_S).not_done:
+            silence = f"{self._command[0]} did not answer within {_MAX_LAST_WAIT_S:g} s"
+            say(f"session.notify_command: {silence}: it is unknown whether the message arrived", error=True)
 
     def take(self, recorded: RecordContents) -> None:
         """Send the events of a run, which this object watches, whose level is an alarm or a trip."""
@@ -82,36 +76,27 @@ class Notices:
                 self.tell("alarm", event.line)
 
     def _run(self, *arguments: str) -> None:
-        null = subprocess.DEVNULL
+        null, fault = subprocess.DEVNULL, ""
+        command = [*self._command, *arguments]
         try:
-            status = subprocess.run(
-                [*self._command, *arguments],
-                stdin=null,
-                stdout=null,
-                stderr=null,
-                timeout=_MAX_CALL_S,
-                check=False,
-            ).returncode
+            done = subprocess.run(
+                command, stdin=null, stdout=null, stderr=null, timeout=_MAX_CALL_S, check=False
+            )
+            if done.returncode:
+                fault = f"{self._command[0]} ended with {done.returncode}"
         except subprocess.TimeoutExpired:
-            say(f"session.notify_command: {self._command[0]} was ended after {_MAX_CALL_S:g} s", error=True)
+            fault = f"{self._command[0]} was ended after {_MAX_CALL_S:g} s"
         except (OSError, ValueError) as error:
-            say(f"session.notify_command: {error}", error=True)
-        else:
-            if status:
-                say(f"session.notify_command: {self._command[0]} ended with {status}", error=True)
+            fault = str(error)
+        if fault:
+            say(f"session.notify_command: {fault}", error=True)
 
 
 class PreflightWait:
     """Waits after a no-go of the preflight, as `[preflight]` states; `name` says what waits, in messages."""
 
-    def __init__(
-        self,
-        name: str,
-        preflight: PreflightSettings,
-        now_s: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._name, self._now_s, self._sleep, self._waited_s = name, now_s, sleep, 0.0
+    def __init__(self, name: str, preflight: PreflightSettings) -> None:
+        self._name, self._waited_s = name, 0.0
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
         self.first_no_go = ""
         """Time of day of the first no-go of the present run; the session empties it after the run."""
@@ -128,9 +113,9 @@ class PreflightWait:
             return False
         self.first_no_go = self.first_no_go or f"{datetime.datetime.now().astimezone():%H:%M}"
         say(f"{self._name}: waiting since {self.first_no_go}: {why}")
-        began_s = self._now_s()
-        self._sleep(min(self._interval_s, left_s))
-        self._waited_s += self._now_s() - began_s
+        began_s = time.monotonic()
+        time.sleep(min(self._interval_s, left_s))
+        self._waited_s += time.monotonic() - began_s
         return True
 
 
@@ -146,31 +131,20 @@ def check_notices(config: Configuration) -> None:
 
 def check_waiting(config: Configuration) -> None:
     """Raise ConfigurationError if a session shall wait for conditions that its rig cannot measure."""
-    preflight, defaults = config.preflight, PreflightSettings()
-    if not preflight.wait_max_s:
-        return
-
-    def first_changed(*keys: str) -> str:
-        return next((key for key in keys if getattr(preflight, key) != getattr(defaults, key)), "")
-
-    stated = f"preflight.wait_max_s = {preflight.wait_max_s:g}"
+    preflight, defaults, fault = config.preflight, PreflightSettings(), ""
+    changed = [name for name, value in preflight if value != getattr(defaults, name)]
+    air_key = next((key for key in changed if key in _AIR_KEYS), "")
+    rest_key = next((key for key in changed if key in _REST_KEYS), "")
+    min_s = rest_checks.MIN_GROUND_S
     if preflight.when == "never":
-        raise ConfigurationError(f'{stated}: has no effect with preflight.when = "never"')
-    air_key = first_changed(
-        "min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c"
-    )
-    if air_key and config.environment_sensor.kind == "none":
-        raise ConfigurationError(
-            f"{stated}: preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
-        )
-    rest_key = first_changed("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
-    if rest_key and (config.start.way == "at once" or config.lever is None):
-        raise ConfigurationError(
-            f"{stated}: preflight.{rest_key} needs a pendulum at rest and [lever]:"
-            " set start.way to 'by hand', 'magnet' or 'starter'"
-        )
-    if preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < rest_checks.MIN_GROUND_S:
-        raise ConfigurationError(
-            f"{stated}: preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
-            f"preflight.duration_s to {rest_checks.MIN_GROUND_S:g} or more, it is {preflight.duration_s:g}"
-        )
+        fault = 'has no effect with preflight.when = "never"'
+    elif air_key and config.environment_sensor.kind == "none":
+        fault = f"preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
+    elif rest_key and (config.start.way == "at once" or config.lever is None):
+        fault = f"preflight.{rest_key} needs a pendulum at rest and [lever]: set start.way to 'by hand', "
+        fault += "'magnet' or 'starter'"
+    elif preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < min_s:
+        fault = "preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
+        fault += f"preflight.duration_s to {min_s:g} or more, it is {preflight.duration_s:g}"
+    if preflight.wait_max_s and fault:
+        raise ConfigurationError(f"preflight.wait_max_s = {preflight.wait_max_s:g}: {fault}")

@@ -20,7 +20,8 @@ from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_co
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
-from rig.measure.recent_frames import FrameWatch, PhaseWait, RecentFrames, WaitStopped
+from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped
+from rig.measure.run_parts import RunPlan
 from rig.settings import Configuration
 from rig.terminal import Verdict, failures
 
@@ -51,26 +52,21 @@ class NoGo(DataError):
 class PhasesBeforeRecord:
     """Runs the phases before the record of a run; `run` is called for every attempt at a start.
 
-    `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a failed
-    preflight is recorded and the run continues. The free disk space of `folder`, that of the record, is
-    checked. `watch` receives the frames meanwhile.
+    `verdicts` is the preflight table, which `show_table` gets, `starter_pulse_s` the pulse of the next
+    attempt.
     """
 
     def __init__(
         self,
-        config: Configuration,
+        plan: RunPlan,
         devices: Devices,
         camera: OpenCamera,
         optics: Optics,
-        folder: Path,
-        *,
-        force: bool = False,
         show_table: Callable[[Sequence[Verdict]], None] = lambda _: None,
-        watch: FrameWatch | None = None,
     ) -> None:
-        self._config, self._devices, self._camera, self._optics = config, devices, camera, optics
-        self._folder, self._force, self._show_table, self._watch = folder, force, show_table, watch
-        self._unit = optics.unit
+        config = self._config = plan.config
+        self._plan, self._devices, self._camera, self._optics = plan, devices, camera, optics
+        self._show_table, self._unit = show_table, optics.unit
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
         self._attempts = 0
@@ -91,17 +87,17 @@ class PhasesBeforeRecord:
         window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
         # the preflight needs whole frames, not deflections alone
         frames_s = max(config.start.pretrigger_s, _preflight_s(config))
-        frames = RecentFrames(stream, self._optics, frames_s, window_s, self._watch)
+        frames = RecentFrames(stream, self._optics, frames_s, window_s, self._plan.session_news.look)
         self._wait = PhaseWait(frames, report, stop)
         self._attempts += 1
         try:
             if config.start.way == "at once":
-                self._preflight_at_once()
+                self._preflight()
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
             if self._attempts == 1:
-                self._preflight_at_rest()
+                self._preflight()
             self._release()
         except WaitStopped:
             return [], self._wait.events
@@ -115,12 +111,11 @@ class PhasesBeforeRecord:
     ) -> None:
         """Make the preflight table of the pendulum as it hangs or swings, without a run; none if stopped."""
         duration_s = _preflight_s(self._config)
-        self._wait = PhaseWait(RecentFrames(stream, self._optics, duration_s, duration_s), report, stop)
+        look = self._plan.session_news.look
+        frames = RecentFrames(stream, self._optics, duration_s, duration_s, look)
+        self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
-            if self._config.start.way == "at once":
-                self._preflight_at_once()
-            else:
-                self._preflight_at_rest()
+            self._preflight()
 
     def correct_starter(self, first_amplitude: float) -> None:
         """Scale the next starter pulse by the `first_amplitude` of the last; unchanged if that is in px."""
@@ -131,10 +126,7 @@ class PhasesBeforeRecord:
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
-        """Wait until X and Y stay within the limit for a whole window; use the brake if there is one.
-
-        Without a lever the limit follows from the noise between successive frames.
-        """
+        """Wait until X and Y stay within the limit for a whole window; use the brake if there is one."""
         phases, frames = self._config.phases, self._wait.frames
         window_ns = nanoseconds(phases.rest_window_s)
         brake_due_ns = 0
@@ -149,6 +141,7 @@ class PhasesBeforeRecord:
             spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
             limit = phases.rest_limit_arcsec
             if self._unit is DeflectionUnit.PX:
+                # the limit is configured in arcsec
                 limit = _MAX_REST_SPREAD_SIGMA * max(_frame_noise(recent.x), _frame_noise(recent.y))
             self._wait.progress = f"spread {spread:.2f} {self._unit.shown} (limit {limit:.3g})"
             if spread <= limit:
@@ -190,32 +183,24 @@ class PhasesBeforeRecord:
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._is_warm = True
 
-    def _preflight_at_once(self) -> None:
-        frames = self._wait.frames
-        self._wait.until_reached(
-            Phase.PREFLIGHT, math.inf, lambda _: frames.frames_taken >= _MIN_FRAMES_AT_ONCE
-        )
-        self._check(resting=False)
-
-    def _preflight_at_rest(self) -> None:
+    def _preflight(self) -> None:
+        """Take the frames of the preflight, if it is wanted, and make its table."""
         if not preflight_wanted(self._config):
             return
-        duration_s = _preflight_s(self._config)
+        resting, duration_s = self._config.start.way != "at once", _preflight_s(self._config)
 
-        def long_enough(elapsed_s: float) -> bool:
+        def are_enough(elapsed_s: float) -> bool:
+            if not resting:
+                return self._wait.frames.frames_taken >= _MIN_FRAMES_AT_ONCE
             self._wait.progress = f"{elapsed_s:.0f} of {duration_s:g} s"
             return elapsed_s >= duration_s
 
-        self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
-        self._check(resting=True)
+        self._wait.until_reached(Phase.PREFLIGHT, math.inf, are_enough)
+        self._check(resting)
 
     def _check(self, resting: bool) -> None:
-        """Make the preflight table; raises NoGo if a check fails, unless forced.
-
-        Raises DeviceError instead if the laser has gone dark: then every check of its light fails.
-        """
-        if not preflight_wanted(self._config):
-            return
+        """Make the preflight table; raises NoGo if a check fails, unless forced, and DeviceError instead if
+        the laser has gone dark, because every check of its light fails then."""
         config, frames = self._config, self._wait.frames
         limits = config.preflight
         trial = frames.trial(resting, _preflight_s(config))
@@ -229,7 +214,7 @@ class PhasesBeforeRecord:
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
-                free_bytes(self._folder),
+                free_bytes(self._plan.record.parent),
             ),
             frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
             frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
@@ -247,7 +232,7 @@ class PhasesBeforeRecord:
             self._raise_if_dark()
         self._show_table(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {failed_checks}" if failed_checks else "go")
-        if failed_checks and not self._force:
+        if failed_checks and not self._plan.force:
             raise NoGo(failed_checks)
         if failed_checks:
             self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {failed_checks}")

@@ -32,8 +32,6 @@ from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
 from rig.terminal import Verdict, answer, failures, print_json_line, print_line, print_verdicts, say
 
-_TERMINAL = "a terminal"
-"""Where LIGHT OFF was pressed, in the text of a trip."""
 _MAX_CONFIRMATION_S = 3.0
 """Longest wait until a session has heard from its devices that they are dark."""
 _LOOK_INTERVAL_S = 0.05
@@ -115,10 +113,12 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         light_shown_to_desk(devices, folder),
     ):
         ask_acknowledgement(devices)
+        # whose free disk is checked
+        existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         plan = RunPlan(
             config,
             Path(),
-            _existing_output_folder(config) / "preflight",
+            existing / "preflight",
             "preflight",
             json_lines=json_lines,
             fitted=False,
@@ -133,12 +133,6 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     if failed_checks := failures(verdicts):
         say(f"no-go: {failed_checks}")
     return 1 if failed_checks or not verdicts else 0
-
-
-def _existing_output_folder(config: Configuration) -> Path:
-    """The nearest existing folder on the path to which a record would be written."""
-    folder = config.session.output.absolute()
-    return next(path for path in (folder, *folder.parents) if path.exists())
 
 
 def show_light(config: Configuration) -> int:
@@ -175,7 +169,7 @@ def light_off(config: Configuration) -> int:
     """
     rig = SafetyState(rig_state_path(config.laser, config.controller))
     sessions = [path.parent for path in config.session.output.glob(f"*/{ORDERS_NAME}")]
-    problems, heard, _ = LightOff(config, rig, _TERMINAL, sessions).result()
+    problems, heard, _ = LightOff(config, rig, "a terminal", sessions).result()
     if config.laser.kind == "none":
         problems.append(SWITCHED_BY_HAND)
     elif rig.presses is None and not heard:
@@ -193,19 +187,18 @@ def light_off(config: Configuration) -> int:
 
 def acknowledge_trip(config: Configuration, number: int) -> int:
     """Acknowledge a trip, in the session that runs or with the devices opened here; lights nothing."""
-    reply = _acknowledge(config, number, "rig light acknowledge")
+    command, reply = "rig light acknowledge", ""
+    for folder in _sessions(config):
+        with suppress(NoSession), OrderConnection(folder) as connection:
+            reply = connection.order(f"acknowledge {number} {command}")
+            break
+    else:
+        with Devices(config, config.session.output, command) as devices:
+            devices.wait_for_reports()
+            reply = devices.acknowledge(number, command)
     answer(acknowledged=number, said=reply)
     say(reply)
     return 0
-
-
-def _acknowledge(config: Configuration, number: int, command: str) -> str:
-    for folder in _sessions(config):
-        with suppress(NoSession), OrderConnection(folder) as connection:
-            return connection.order(f"acknowledge {number} {command}")
-    with Devices(config, config.session.output, command) as devices:
-        devices.wait_for_reports()
-        return devices.acknowledge(number, command)
 
 
 def _sessions(config: Configuration) -> Iterator[Path]:

@@ -28,12 +28,7 @@ class LivePosterior:
     hold the interpreter's lock and delay frames. A thread reads the answers from a pipe, so that a process
     that is stopped in the middle of an answer delays nothing else. All methods are called by the thread that
     processes the frames, `close` by any thread. If the process dies, fits end and `take_remark` says so.
-
-    Parameters
-    ----------
-    synchronous
-        Whether `take` waits for every fit that is due, whatever its share of a core. Frames made on demand
-        need that, so that a run which ends by `session.stop_when` repeats exactly.
+    If `synchronous`, `take` waits for every fit that is due, whatever its share of a core.
     """
 
     def __init__(self, *, synchronous: bool = False) -> None:

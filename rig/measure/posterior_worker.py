@@ -249,7 +249,8 @@ def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:
     the standard input, which says that the record was flushed.
     """
     run, is_warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
-    for _ in _flushes(reader) if synchronous else reader.follow(_LOOK_INTERVAL_S):
+    flushes = (reader.update() for _ in sys.stdin.buffer)
+    for _ in flushes if synchronous else reader.follow(_LOOK_INTERVAL_S):
         run.read()
         if not synchronous and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
             continue
@@ -261,12 +262,6 @@ def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:
         yield run.fitted()
         due_half_cycles = next_fit_half_cycles(run.half_cycles)
         due_s = time.monotonic() + (time.process_time() - began_s) / _MAX_CORE_FRACTION
-
-
-def _flushes(reader: RecordReader) -> Iterator[None]:
-    for _ in sys.stdin.buffer:
-        reader.update()
-        yield None
 
 
 def main() -> None:

@@ -79,10 +79,8 @@ class SideReadings:
         return RecordedLosses(time_ns, *losses.counts)
 
     def _environment(self, time_ns: int) -> Environment | None:
-        """A reading of the environment, once per period; None in between and without a sensor.
-
-        A sensor that has fallen silent is recorded once, as a reading of NaN.
-        """
+        """A reading of the environment, once per period; None in between and without a sensor. A sensor that
+        has fallen silent is recorded once, as a reading of NaN."""
         devices = self._run.devices
         if time_ns < self._environment_due_ns:
             return None

@@ -21,15 +21,14 @@ _MAX_FRAMES_BYTES = 256 * 1024 * 1024
 _MIN_FRAMES = 8
 """Frames that are kept whatever their size."""
 _TAKE_WITHIN_S = 0.1
-FrameWatch = Callable[[Sequence[Frame], Block], None]
-"""Receives some frames, and the spots and deflections measured in them."""
 
 
 class RecentFrames:
     """Takes frames, tracks the spot, and keeps the deflections of the last `window_s` seconds.
 
     The frames themselves are kept for `frames_s` seconds, or as many as `_MAX_FRAMES_BYTES` hold, because a
-    release is detected only afterwards, and the record must begin before it. `watch` receives every block.
+    release is detected only afterwards, and the record must begin before it. `watch` receives some frames,
+    and the spots and deflections measured in them.
     """
 
     def __init__(
@@ -38,7 +37,7 @@ class RecentFrames:
         optics: Optics,
         frames_s: float,
         window_s: float,
-        watch: FrameWatch | None = None,
+        watch: Callable[[Sequence[Frame], Block], object],
     ) -> None:
         self._stream, self._optics, self._watch = stream, optics, watch
         self._pipeline: Pipeline | None = None
@@ -53,15 +52,14 @@ class RecentFrames:
         if not frames:
             return not self._stream.drained
         if self._pipeline is None:
-            self._pipeline = Pipeline(self._optics, (frames[0].image.shape[0], frames[0].image.shape[1]))
+            self._pipeline = Pipeline(self._optics, frames[0].image.shape)
         block = self._pipeline.process(frames, estimated=False)
         self._blocks.append(block)
         times_ns = block.deflections.times_ns
         found_ns = times_ns[block.deflections.found]
         self._last_spot_ns = int(found_ns[-1]) if len(found_ns) else self._last_spot_ns or int(times_ns[0])
         self._frames.extend(frames)
-        if self._watch is not None:
-            self._watch(frames, block)
+        self._watch(frames, block)
         self.frames_taken += len(frames)
         newest_ns = frames[-1].time_ns
         max_frames = max(_MIN_FRAMES, _MAX_FRAMES_BYTES // max(frames[0].image.nbytes, 1))

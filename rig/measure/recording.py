@@ -15,11 +15,12 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.deflections import no_deflections
+from processing.deflections import DeflectionUnit, no_deflections
 from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
-from processing.units import nanoseconds, seconds
+from processing.units import ARCSEC_RAD, nanoseconds, seconds
 from rig.instrument import Block, Phase, Pipeline, RecordContents
+from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
@@ -153,9 +154,15 @@ class Recording:
         settings = run.plan.config.record
         interval_ns = nanoseconds(settings.full_frame_interval_s)
         self._counts = FrameCounts(first, interval_ns, keep_windows=settings.windows)
-        shape = first.image.shape[0], first.image.shape[1]
-        self._pipeline = Pipeline(run.optics, shape, threaded=not self._on_demand, guard=run.guard)
-        self._end = run.end
+        self._pipeline = Pipeline(
+            run.optics, first.image.shape, threaded=not self._on_demand, guard=run.guard
+        )
+        config = run.plan.config
+        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
+        has_lever = run.optics.unit is DeflectionUnit.RAD
+        final_rad = config.session.final_amplitude_arcsec * ARCSEC_RAD if has_lever else 0.0
+        stop_when = () if run.posterior is None else config.stop_conditions
+        self._end = EndOfRun(final_rad, config.session.max_duration_s, stop_when)
         self._steps = StepEvents(run.optics.unit)
         self._readings = SideReadings(run, first.time_ns)
         self._published_ns = self._half_cycles = 0
@@ -212,11 +219,6 @@ class Recording:
             self._stop.request(stream.end_reason, None if stream.failure is None else EventKind.FAILED)
         return ""
 
-    def _take_nothing(self) -> None:
-        """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
-        self._record(RecordEntry(events=self._device_events(), messages=messages))
-
     def _take(self) -> Block | None:
         """Take some frames, process and record them; None if there were none in time."""
         counts, run, stream = self._counts, self._run, self._stream
@@ -225,7 +227,9 @@ class Recording:
         while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
             frames += stream.take(_BLOCK_FRAMES - len(frames), _TAKE_WITHIN_S)
         if not frames:
-            self._take_nothing()
+            # events do not wait for frames, so that a silent camera is noted immediately
+            messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+            self._record(RecordEntry(events=self._device_events(), messages=messages))
             return None
         taken_ns, end_ns = time.monotonic_ns(), frames[0].time_ns + _MAX_BLOCK_NS
         late = (k for k, frame in enumerate(frames) if frame.time_ns > end_ns)

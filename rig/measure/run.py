@@ -14,9 +14,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedLosses, RecordedPhase
 from acquisition.record.writer import RecordWriter
 from processing import decay_summary
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
-from processing.units import ARCSEC_RAD
 from rig.devices import Devices, FrameStream, OpenCamera, TypedAcknowledgement
 from rig.instrument import (
     ObserverGuard,
@@ -27,10 +25,11 @@ from rig.instrument import (
     configuration_attachments,
     optics_of,
     prepare_kernels,
+    reference_px,
     session_metadata,
 )
 from rig.interruption import reason_of
-from rig.measure.end_of_run import EndOfRun, StopRequest
+from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.recorder import Recorder
@@ -87,18 +86,6 @@ class MeasurementRun:
         self.stop = StopRequest(self.stream)
 
     @property
-    def end(self) -> EndOfRun:
-        """The judge of the run's end, by its limits of amplitude and time and its stop conditions."""
-        session = self.plan.config.session
-        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
-        final_rad = session.final_amplitude_arcsec * ARCSEC_RAD
-        return EndOfRun(
-            final_rad if self.optics.unit is DeflectionUnit.RAD else 0.0,
-            session.max_duration_s,
-            self.plan.config.stop_conditions if self.posterior is not None else (),
-        )
-
-    @property
     def waits_when_dark(self) -> bool:
         """Whether a run whose laser goes dark waits for a person to relight it; otherwise it ends."""
         return self.plan.config.laser.when_dark == "wait"
@@ -136,8 +123,7 @@ class MeasurementRun:
         if lever is not None:
             shape = (first.image.shape[0], first.image.shape[1])
             distance_px = lever.arm_m / lever.pixel_pitch_m
-            reference_px = self.optics.deflector(shape).reference_px
-            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
+            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px(lever, shape))
         return writer
 
     def execute(self, show: Callable[[RunNow], None] = lambda _: None) -> RunOutcome:
@@ -282,8 +268,7 @@ class MeasurementRun:
                 raise stream.failure or DataError(f"{why} before the run began; nothing was recorded")
             return frames, events
         while not (stream.drained or self.stop):
-            frames = stream.take(1, 0.1)
-            if frames:
+            if frames := stream.take(1, 0.1):
                 return frames, []
         raise stream.failure or DataError("stopped before the run began; nothing was recorded")
 
@@ -382,16 +367,7 @@ def _execute(
 
     phases: PhasesBeforeRecord | None = None
     if phases_wanted(config):
-        phases = PhasesBeforeRecord(
-            config,
-            devices,
-            camera,
-            optics,
-            plan.record.parent,
-            force=plan.force,
-            show_table=show_table,
-            watch=session_news.look,
-        )
+        phases = PhasesBeforeRecord(plan, devices, camera, optics, show_table)
     run = MeasurementRun(
         plan=plan,
         camera=camera,

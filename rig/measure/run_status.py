@@ -1,4 +1,4 @@
-"""The state of a run: as messages of its record, for its watchers, and as the panel on the terminal."""
+"""The state of a run: as messages of its record, for its watchers, and its parameters in words."""
 
 import time
 from collections import deque
@@ -6,11 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from rich.console import ConsoleDimensions, Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table
-from rich.text import Text
-
+from acquisition.frames.queue import take_all
 from acquisition.record.events import EventKind
 from acquisition.record.topics import (
     Environment,
@@ -23,10 +19,10 @@ from acquisition.record.topics import (
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from rig.devices import Devices, LightWatch
-from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
+from rig.instrument import ObserverGuard, RecordContents, RunNow
 from rig.measure.posterior_worker import Posterior
 from rig.settings import StopCondition
-from rig.terminal import loud, percent, quantity
+from rig.terminal import percent, quantity
 
 _HEALTH_INTERVAL_NS = 1_000_000_000
 
@@ -70,13 +66,12 @@ class RunStatus:
         self._alarm = ""
         self.now = self.now.for_new_record()
 
-    def take_instructions(self) -> Iterable[RunNow]:
+    def take_instructions(self) -> list[RunNow]:
         """States with an instruction to the operator since the last call, oldest first.
 
         Short-lived ones are among them, which `now` may never show to a caller.
         """
-        while self._instructions:
-            yield self._instructions.popleft()
+        return take_all(self._instructions)
 
     def prepare(self, phase: RecordedPhase) -> None:
         """Publish a state before the record begins, which is not recorded; looks at the laser."""
@@ -151,66 +146,6 @@ def _recorded_light(devices: Devices) -> RecordedLight:
         "" if safety.trip is None else safety.trip.text,
         safety.devices_text,
     )
-
-
-_MIN_WIDTH_OF_TWO_COLUMNS = 120
-_MAX_EVENTS = 10
-
-
-def run_panel(
-    title: str,
-    now: RunNow,
-    done_fraction: float,
-    rows: Sequence[tuple[str, str]],
-    events: Sequence[str],
-    size: ConsoleDimensions,
-    phases: Sequence[Phase] = (),
-) -> Panel:
-    """The panel that shows a run, cut to the `size` of the terminal.
-
-    `done_fraction` is the part of the run that is over, for the bar; `phases` are the phases before the
-    record. The newest of the `events` are shown, as many as fit.
-    """
-    width, height = size
-    table = Table.grid(padding=(0, 1))
-    columns = 2 if width >= _MIN_WIDTH_OF_TWO_COLUMNS else 1
-    for _ in range(2 * columns):
-        table.add_column(style="dim", no_wrap=True)
-        table.add_column(no_wrap=True, overflow="ellipsis")
-    height_of_rows = -(-len(rows) // columns)
-    for k in range(height_of_rows):
-        table.add_row(*(cell for row in rows[k::height_of_rows] for cell in row))
-    parts: list[RenderableType] = [
-        Text.assemble((f"{title}  ", "bold"), (now.phase_text, "bold cyan"), no_wrap=True),
-        *([_phase_line(phases, now.phase)] if phases else []),
-        _progress_bar(done_fraction, width - 4),
-        table,
-    ]
-    if now.alarm:
-        parts.insert(0, Text(f"!!! {now.alarm.upper()} !!!", style="bold white on red"))
-    if now.instruction:
-        parts.append(Text(f">>> {loud(now.instruction)} <<<", style="bold reverse"))
-    used_lines = 4 + height_of_rows + bool(phases) + bool(now.instruction) + bool(now.alarm)
-    max_events = max(1, min(_MAX_EVENTS, height - used_lines - 3))
-    parts += [Text(event, style="dim", no_wrap=True, overflow="ellipsis") for event in events[-max_events:]]
-    return Panel(Group(*parts), width=width - 1, padding=(0, 1))
-
-
-def _phase_line(phases: Sequence[Phase], now: Phase) -> Text:
-    """All phases in order, the present one marked."""
-    line = Text(no_wrap=True, overflow="ellipsis")
-    for number, phase in enumerate((*phases, Phase.MEASURING)):
-        line.append(" > " if number else "", "dim")
-        name = "recording" if phase is Phase.MEASURING else phase.value
-        line.append(name, "bold cyan" if phase is now else "dim")
-    return line
-
-
-def _progress_bar(done_fraction: float, width: int) -> Text:
-    length = max(width - 8, 10)
-    done = round(done_fraction * length)
-    rest = ("━" * (length - done), "bright_black")
-    return Text.assemble(("━" * done, "green"), rest, f" {100 * done_fraction:3.0f} %")
 
 
 def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:

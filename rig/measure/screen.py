@@ -13,8 +13,11 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
 
 from acquisition.record.events import EventKind
 from processing.decay_summary import Forecast, forecast
@@ -22,7 +25,7 @@ from processing.deflections import DeflectionUnit
 from processing.units import seconds
 from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import CONSECUTIVE_BELOW
-from rig.measure.run_status import estimate_rows, run_panel
+from rig.measure.run_status import estimate_rows
 from rig.settings import StopCondition
 from rig.terminal import Verdict, decimals, loud, print_json_line, print_verdicts, say
 
@@ -34,7 +37,8 @@ _MIN_FORECAST_HALF_CYCLES = 8
 _MIN_RATES_SPAN_S = 5.0
 """Shortest span of the record over which rates are shown."""
 _MAX_HALF_CYCLES = 20_000
-_MAX_EVENTS = 12
+_MAX_EVENTS = 10
+_MIN_WIDTH_OF_TWO_COLUMNS = 120
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
@@ -162,16 +166,32 @@ class RunDisplay:
         self._phase, self._demands = now.phase, demands
 
     def screen(self, now: RunNow) -> RenderableType:
-        """The whole screen, cut to the size of the terminal."""
-        return run_panel(
-            f"SIMULATED {self.title}" if self.simulated else self.title,
-            now,
-            self._done_fraction(now),
-            self.rows(now),
-            list(self._events),
-            self.console.size,
-            self.phases,
-        )
+        """The whole screen, cut to the size of the terminal; the newest events, as many as fit."""
+        width, height = self.console.size
+        title, rows = f"SIMULATED {self.title}" if self.simulated else self.title, self.rows(now)
+        table = Table.grid(padding=(0, 1))
+        columns = 2 if width >= _MIN_WIDTH_OF_TWO_COLUMNS else 1
+        for _ in range(2 * columns):
+            table.add_column(style="dim", no_wrap=True)
+            table.add_column(no_wrap=True, overflow="ellipsis")
+        height_of_rows = -(-len(rows) // columns)
+        for k in range(height_of_rows):
+            table.add_row(*(cell for row in rows[k::height_of_rows] for cell in row))
+        parts: list[RenderableType] = [
+            Text.assemble((f"{title}  ", "bold"), (now.phase_text, "bold cyan"), no_wrap=True),
+            *([_phase_line(self.phases, now.phase)] if self.phases else []),
+            _progress_bar(self._done_fraction(now), width - 4),
+            table,
+        ]
+        if now.alarm:
+            parts.insert(0, Text(f"!!! {now.alarm.upper()} !!!", style="bold white on red"))
+        if now.instruction:
+            parts.append(Text(f">>> {loud(now.instruction)} <<<", style="bold reverse"))
+        # the table is one part of many lines; frame and terminal take some more
+        max_events = max(1, height - len(parts) - height_of_rows - 4)
+        for event in list(self._events)[-max_events:]:
+            parts.append(Text(event, style="dim", no_wrap=True, overflow="ellipsis"))
+        return Panel(Group(*parts), width=width - 1, padding=(0, 1))
 
     def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
@@ -313,6 +333,23 @@ class RunDisplay:
         reason = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.phase_text}  "
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{frames}{reason}".rstrip()
+
+
+def _phase_line(phases: Sequence[Phase], now: Phase) -> Text:
+    """All phases in order, the present one marked."""
+    line = Text(no_wrap=True, overflow="ellipsis")
+    for number, phase in enumerate((*phases, Phase.MEASURING)):
+        line.append(" > " if number else "", "dim")
+        name = "recording" if phase is Phase.MEASURING else phase.value
+        line.append(name, "bold cyan" if phase is now else "dim")
+    return line
+
+
+def _progress_bar(done_fraction: float, width: int) -> Text:
+    length = max(width - 8, 10)
+    done = round(done_fraction * length)
+    rest = ("━" * (length - done), "bright_black")
+    return Text.assemble(("━" * done, "green"), rest, f" {100 * done_fraction:3.0f} %")
 
 
 def _clock(duration_s: float) -> str:

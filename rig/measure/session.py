@@ -150,38 +150,29 @@ def finish_session(
 
     Returns the exit status like `measure_session`.
     """
-    waiting = waiting or PreflightWait(file.folder.name, config.preflight)
-    with Notices(config.session, file.folder) as notices:
-        status = _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+    folder, results, failed = file.folder, None, False
+    waiting = waiting or PreflightWait(folder.name, config.preflight)
+    with Notices(config.session, folder) as notices:
+        options = SessionOptions(notices, force, json_lines, waiting)
+        if file.state.entries:
+            close_earlier_runs(file)
+        if len(file.state.complete) >= file.state.runs_wanted:
+            # complete records are fitted without the rig, which may not even exist any more
+            say("no run is missing")
+            results, records = _whole_results(file), file.complete_records
+        else:
+            with ready_for_frames(live=not config.on_demand), Devices(config, folder, task) as devices:
+                records, failed = make_runs(config, file, devices, options)
+        if results is None:
+            status = report(config, folder, records, options, failed=failed)
+        else:
+            faults = result_faults(results, config)
+            for why in faults:
+                say(why)
+            notices.failures.extend(faults)
+            status = 1 if faults else 0
         notices.tell_end(status)
         return status
-
-
-def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:
-    folder = file.folder
-    if file.state.entries:
-        close_earlier_runs(file)
-    if len(file.state.complete) >= file.state.runs_wanted:
-        say("no run is missing")
-        if (results := _whole_results(file)) is None:
-            # complete records are fitted without the rig, which may not even exist any more
-            records = [folder / entry.record for entry in file.state.complete]
-            return report(config, folder, SessionOutcome(records, failed=False), options)
-        faults = result_faults(results, config)
-        for why in faults:
-            say(why)
-        options.notices.failures.extend(faults)
-        return 1 if faults else 0
-    with ready_for_frames(live=not config.on_demand), Devices(config, folder, task) as devices:
-        outcome = make_runs(config, file, devices, options)
-    return report(config, folder, outcome, options)
-
-
-class SessionOutcome(NamedTuple):
-    """The complete records of a session, and whether a run failed."""
-
-    records: list[Path]
-    failed: bool
 
 
 @contextmanager
@@ -207,8 +198,8 @@ def _interrupts_noted(file: SessionFile) -> Iterator[None]:
 
 def make_runs(
     config: Configuration, file: SessionFile, devices: Devices, options: SessionOptions
-) -> SessionOutcome:
-    """Make the missing runs of a session.
+) -> tuple[list[Path], bool]:
+    """Make the missing runs of a session; returns its complete and new records, and whether a run failed.
 
     Meanwhile its order socket serves its state and takes orders. Raises `Terminated` after everything is
     closed and session.json is written.
@@ -220,7 +211,7 @@ def make_runs(
     with socket, _interrupts_noted(file):
         if socket.problem:
             say(socket.problem)
-        records = [folder / entry.record for entry in file.state.complete]
+        records = file.complete_records
         failed = stopped = False
 
         def say_failed(number: int, error: Exception) -> None:
@@ -291,7 +282,7 @@ def make_runs(
                 failed = True
             if isinstance(interrupt, Terminated):
                 raise interrupt
-        return SessionOutcome(records, failed)
+        return records, failed
 
 
 def _has_record(file: SessionFile) -> bool:
@@ -299,18 +290,25 @@ def _has_record(file: SessionFile) -> bool:
     return any((file.folder / entry.record).exists() for entry in file.state.entries)
 
 
-def report(config: Configuration, folder: Path, outcome: SessionOutcome, options: SessionOptions) -> int:
-    """Fit the complete and the new records and write the results; the laser is already off."""
+def report(
+    config: Configuration,
+    folder: Path,
+    records: Sequence[Path],
+    options: SessionOptions,
+    *,
+    failed: bool,
+) -> int:
+    """Fit records and write the results; returns the exit status, 1 also after a run that `failed`."""
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
 
-    runs = [analyse_record(record) for record in outcome.records]
+    runs = [analyse_record(record) for record in records]
     if not runs:
         return 1
     path = free_path(folder)
     results = session_results(runs, folder)
     faults = result_faults(results, config)
-    failed = outcome.failed or bool(faults)
+    failed = failed or bool(faults)
     options.notices.failures.extend(faults)
     write_results(path, results)
     paths = [("record", run.path) for run in runs]

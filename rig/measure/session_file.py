@@ -78,11 +78,6 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     def next_number(self) -> int:
         return 1 + max((entry.number for entry in self.entries), default=0)
 
-    def with_entry(self, entry: RunEntry) -> Self:
-        """A copy in which this entry replaces that of the same record, or is added."""
-        others = [other for other in self.entries if other.record != entry.record]
-        return self.model_copy(update={"entries": (*others, entry)})
-
 
 def read_session(folder: Path) -> SessionState:
     """The session in a folder, running or ended; raises ConfigurationError if there is none."""
@@ -158,6 +153,11 @@ class SessionFile:
         file._take_lock()
         return file
 
+    @property
+    def complete_records(self) -> list[Path]:
+        """Paths of the records of the complete runs."""
+        return [self.folder / entry.record for entry in self.state.complete]
+
     def note(self, number: int, record: str, state: RunState, reason: str = "", recovered: str = "") -> None:
         """Save the state of a run."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -173,12 +173,15 @@ class SessionFile:
             ended_utc=ended,
             recovered=recovered,
         )
-        self.save(self.state.with_entry(entry))
+        self._replace(record, entry)
 
     def forget(self, record: str) -> None:
         """Remove the entry of a run that did not begin."""
-        others = tuple(entry for entry in self.state.entries if entry.record != record)
-        self.save(self.state.model_copy(update={"entries": others}))
+        self._replace(record)
+
+    def _replace(self, record: str, *new_entries: RunEntry) -> None:
+        others = [entry for entry in self.state.entries if entry.record != record]
+        self.save(self.state.model_copy(update={"entries": (*others, *new_entries)}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Give the missing runs another configuration; returns what it changes, in words.
@@ -268,7 +271,7 @@ def close_earlier_runs(file: SessionFile) -> None:
     for entry in file.state.entries:
         if entry.state is RunState.RECORDING:
             _close_interrupted(file, entry)
-    for record in (file.folder / entry.record for entry in file.state.complete):
+    for record in file.complete_records:
         if record.exists():
             # complete at the end of its run, but truncated since, e.g. by a failed copy
             with RecordReader(record) as reader:

@@ -1,7 +1,6 @@
 """Measures a list of sessions, one after the other."""
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -22,8 +21,6 @@ def measure_sessions(
     *,
     force: bool = False,
     json_lines: bool = False,
-    now_s: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
 ) -> int:
     """Measure one session for each configuration, in folders of their names in `output`.
 
@@ -46,7 +43,7 @@ def measure_sessions(
     worst_status = 0
     for source, config in zip(sources, configs, strict=True):
         target = folder / source.stem
-        waiting = PreflightWait(source.stem, config.preflight, now_s, sleep)
+        waiting = PreflightWait(source.stem, config.preflight)
         say(f"session {target}")
         if (target / STATE_NAME).exists():
             with closing(SessionFile.opened(target)) as file:

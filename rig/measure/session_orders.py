@@ -191,21 +191,18 @@ class StartJudge:
         )
 
     def _rotation_fault(self, balances: Sequence[Balance]) -> str:
-        for balance in balances:
-            rate, u = (
-                math.degrees(value) * 60.0
-                for value in (balance.rotation_rad_per_s, balance.u_rotation_rad_per_s)
-            )
-            if self._is_rotation_judged or not math.isfinite(rate):
-                continue
-            self._is_rotation_judged = True
-            limit = self._max_spin_deg_per_min
-            if abs(rate) - _MIN_EXCESS_SIGMA * u > limit:
-                return (
-                    f"the plane of swing turns by {rate:+.2f} deg/min, at most {limit:g} deg/min is "
-                    "allowed: let the pendulum settle before the release"
-                )
-        return ""
+        known = [balance for balance in balances if math.isfinite(balance.rotation_rad_per_s)]
+        if self._is_rotation_judged or not known:
+            return ""
+        self._is_rotation_judged = True
+        rate = 60.0 * math.degrees(known[0].rotation_rad_per_s)
+        u, limit = 60.0 * math.degrees(known[0].u_rotation_rad_per_s), self._max_spin_deg_per_min
+        if not abs(rate) - _MIN_EXCESS_SIGMA * u > limit:
+            return ""
+        return (
+            f"the plane of swing turns by {rate:+.2f} deg/min, at most {limit:g} deg/min is allowed: "
+            "let the pendulum settle before the release"
+        )
 
     def _first_half_cycles_fault(
         self, half_cycles: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
@@ -218,13 +215,9 @@ class StartJudge:
                 self.first_amplitude = max(self.first_amplitude, half_cycle.amplitude)
         has_amplitude = self._half_cycles >= _MIN_HALF_CYCLES
         if has_amplitude and not self._min_amplitude <= self.first_amplitude <= self._max_amplitude:
-            first, lowest, highest = (
-                amplitude / self._unit.shown_size
-                for amplitude in (self.first_amplitude, self._min_amplitude, self._max_amplitude)
-            )
-            return (
-                f"first amplitude {first:.1f} {self._unit.shown}, {lowest:.1f} to {highest:.1f} are required"
-            )
+            size, lowest, highest = self._unit.shown_size, self._min_amplitude, self._max_amplitude
+            first = f"first amplitude {self.first_amplitude / size:.1f} {self._unit.shown}"
+            return f"{first}, {lowest / size:.1f} to {highest / size:.1f} are required"
         limit, patience_s = self._start.max_transverse_ratio, self._start.patience_s
         for balance in balances:
             if balance.amplitude < 0.5 * self._min_amplitude:

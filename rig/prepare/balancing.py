@@ -199,7 +199,7 @@ def balance_rig(
     session = LearnedTurns(config, path)
 
     def advise(balance: Balance) -> str:
-        return advice_for(config, balance, session.responses, session.room).markdown
+        return advice_for(config, balance, session.responses, session.room)
 
     def show(balance: Balance) -> None:
         reporter.report_live(balance_checks(balance, mass_centre_height(config, balance), config.balance))

@@ -307,14 +307,6 @@ class Configuration(Section, frozen=True):
         return stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
 
     @property
-    def lever_reference_px(self) -> tuple[float, float] | None:
-        """Position (x, y) of the spot at zero tilt; None where no lever states it."""
-        lever = self.lever
-        if lever is None or lever.reference_x_px is None or lever.reference_y_px is None:
-            return None
-        return lever.reference_x_px, lever.reference_y_px
-
-    @property
     def deflection_unit(self) -> DeflectionUnit:
         """Unit of deflections and amplitudes: rad, or px without [lever]."""
         return deflection_unit(self.lever)

@@ -145,7 +145,7 @@ class RecordPlotter:
             self._run_plot.balance(time_s, balance_numbers(balance))
             if self._config is None or self._has_advice:
                 continue
-            if advice := advice_for(self._config, balance).markdown:
+            if advice := advice_for(self._config, balance):
                 self._run_plot.text(layout.ADVICE, time_s, advice)
 
     def _plot_session(self, contents: RecordContents, previous: RunNow) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition.camera import Frame
 from acquisition.record.topics import RecordedSeismometer
-from calibration import Stability, stability
+from calibration import stability
 from processing.arrays import Floats
 from processing.arrival_times import sample_times
 from processing.balance import BalanceEstimator, BalanceLimits
@@ -65,14 +65,23 @@ def judged(name: str, ok: bool, fault: tuple[str, str], measured: str, limit: st
     return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
 
-def noise_and_vibration(
-    x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
-) -> list[Verdict]:
-    """Check the noise of one frame and the strongest spectral line of a spot at rest."""
+def stillness(trial: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
+    """Check the noise of one frame and the strongest spectral line of the spot of a pendulum at rest.
+
+    Not made if it may be swinging.
+    """
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
-    if x is None or y is None:
-        return [_too_few_spots("noise floor", noise_limit), _too_few_spots("vibration", line_limit)]
+    checks = ("noise floor", noise_limit), ("vibration", line_limit)
+    if not trial.resting:
+        return [not_at_rest(name, limit) for name, limit in checks]
+    deflections, unit = trial.deflections, trial.deflections.unit
+    try:
+        x = stability(deflections.times_s, deflections.x, deflections.u_x)
+        y = stability(deflections.times_s, deflections.y, deflections.u_y)
+    except DataError:
+        fault = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
+        return [judged(name, False, fault, "not measured", limit) for name, limit in checks]
     noise = max(x.noise, y.noise) / unit.shown_size
     noise_text = f"{noise:.4f} {unit.shown} a frame"
     noise_fault = "the spot is too noisy", "more light, a smaller gain; shield the beam from air"
@@ -82,11 +91,11 @@ def noise_and_vibration(
         name = f" ({strongest.name})" if strongest.name else ""
         line_text = f"{amplitude:.3f} {unit.shown} at {strongest.frequency_hz:.1f} Hz{name}"
     line_fault = "the base shakes", "find what runs at this frequency; decouple the table"
-    verdicts = [
-        judged("noise floor", noise <= limits.max_noise_arcsec, noise_fault, noise_text, noise_limit),
-        judged("vibration", amplitude <= limits.max_vibration_arcsec, line_fault, line_text, line_limit),
+    is_quiet, is_still = noise <= limits.max_noise_arcsec, amplitude <= limits.max_vibration_arcsec
+    return [
+        _against_arcsec(judged("noise floor", is_quiet, noise_fault, noise_text, noise_limit), unit),
+        _against_arcsec(judged("vibration", is_still, line_fault, line_text, line_limit), unit),
     ]
-    return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
 def ground(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
@@ -153,24 +162,6 @@ def plane_of_swing(trial: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
     return [verdict for verdict in verdicts if verdict.name == PLANE_OF_SWING]
 
 
-def stillness(trial: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
-    """Check noise and vibration of the spot of a pendulum at rest; not made if it may be swinging."""
-    deflections = trial.deflections
-    if not trial.resting:
-        checks = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
-        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in checks]
-    x, y = (
-        _stability(deflections.times_s, values, u)
-        for values, u in ((deflections.x, deflections.u_x), (deflections.y, deflections.u_y))
-    )
-    return noise_and_vibration(x, y, deflections.unit, limits)
-
-
-def _too_few_spots(name: str, limit: str) -> Verdict:
-    fault = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
-    return judged(name, False, fault, "not measured", limit)
-
-
 def not_at_rest(name: str, limit: str) -> Verdict:
     """The verdict of a check that needs the pendulum at rest and was not made: it may be swinging."""
     reason = "the pendulum may be swinging (start.way = 'at once')"
@@ -182,13 +173,6 @@ def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
     if unit is DeflectionUnit.RAD:
         return verdict
     return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)
-
-
-def _stability(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
-    try:
-        return stability(times_s, values, u)
-    except DataError:
-        return None
 
 
 _LIMIT = "samples come"
@@ -284,10 +268,8 @@ def _benefit_verdict(benefit: SeismometerAtRest, ground_seen: bool, kind: str) -
             "seismometer", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT
         )
     lower, upper = plain(benefit.lower_95, 2), plain(benefit.upper_95, 2)
-    measured = (
-        f"{coherence}: the swing at rest would fall by {plain(benefit.factor, 2)} ({lower} to {upper}), "
-    )
-    measured += f"the ground's part of it by {lower} at least"
+    fall = f"the swing at rest would fall by {plain(benefit.factor, 2)} ({lower} to {upper})"
+    measured = f"{coherence}: {fall}, the ground's part of it by {lower} at least"
     return Verdict("seismometer", True, measured=measured, limit=_LIMIT)
 
 

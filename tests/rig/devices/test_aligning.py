@@ -10,14 +10,14 @@ import pytest
 
 from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from calibration import Axes
+from calibration import Axes, Lever
 from processing.errors import DeviceError
 from processing.spot import SensorModel, SpotTracker
 from rig.devices import Devices, FrameStream, aligning
 from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
-from rig.instrument import Optics, Pipeline
+from rig.instrument import Optics, Pipeline, reference_px
 from rig.settings import Configuration, PreflightSettings, load_configuration
 from rig.terminal import palette
 from tests.rig.command_line import CONFIGS
@@ -104,6 +104,12 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     assert (len(ellipse) > 0) is (below_dn > 0.0)
     if below_dn:
         assert ellipse.mean(axis=0) == pytest.approx([320.0, 210.0], abs=4.0)
+
+
+def test_each_coordinate_of_the_crosshair_is_the_levers_if_it_states_one_else_the_middle() -> None:
+    lever = Lever(arm_m=1.0, pixel_pitch_m=5e-6, reference_x_px=10.0)
+    assert reference_px(lever, (100, 200)) == (10.0, 49.5)
+    assert reference_px(None, (100, 200)) == (99.5, 49.5)
 
 
 def test_a_saturated_pixel_stays_visible_in_a_small_picture() -> None:

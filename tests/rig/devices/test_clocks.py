@@ -33,8 +33,8 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
     rate, found = ClockRate(), list[CameraClock]()
     for first in range(0, len(given), size):
         found.append(rate.take(given[first : first + size], steps if not first else ()))
-        if rate._thread is not None:
-            rate._thread.join()
+        if rate._fit is not None:
+            rate._fit.result()
     return found
 
 
@@ -73,8 +73,8 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
 
     def take() -> None:
         rate.take(frames(10.0, 0.0))
-        assert rate._thread is not None
-        rate._thread.join()
+        assert rate._fit is not None
+        rate._fit.exception()
         rate.take([])
 
     with pytest.raises(ValueError, match="no line"):
@@ -83,11 +83,12 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
 
 
 class Clocks:
-    """Clocks that are moved on by hand."""
+    """Clocks that are moved on by hand, and read instead of the computer's."""
 
-    def __init__(self) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.host_ns = 5_000_000_000
         self.utc_ns = 1_790_000_000_000_000_000
+        monkeypatch.setattr(clocks, "read_clocks", self)
 
     def __call__(self) -> HostClockReading:
         return HostClockReading(self.host_ns, self.utc_ns, 400)
@@ -97,33 +98,31 @@ class Clocks:
         self.utc_ns += round((host if day is None else day) * 1e9)
 
 
-def test_an_anchor_every_ten_seconds() -> None:
-    clocks = Clocks()
-    anchors = ClockAnchors(clocks)
+def test_an_anchor_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_hand, anchors = Clocks(monkeypatch), ClockAnchors()
     found = []
     for second in range(31):
         anchor, events = anchors.take(second)
         assert events == []
         found += [] if anchor is None else [anchor]
-        clocks.pass_s(1.0)
+        by_hand.pass_s(1.0)
     assert [anchor.time_ns for anchor in found] == [0, 10, 20, 30]
     assert found[1].utc_ns - found[0].utc_ns == found[1].host_time_ns - found[0].host_time_ns
 
 
-def test_a_step_is_an_event_and_a_slew_is_none() -> None:
-    clocks = Clocks()
-    anchors = ClockAnchors(clocks)
+def test_a_step_is_an_event_and_a_slew_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_hand, anchors = Clocks(monkeypatch), ClockAnchors()
     anchors.take(0)
-    clocks.pass_s(5.0, 5.0065)
+    by_hand.pass_s(5.0, 5.0065)
     assert anchors.take(1) == (None, [])
-    clocks.pass_s(0.5, 0.5035)
+    by_hand.pass_s(0.5, 0.5035)
     assert [event.text[-8:] for event in anchors.take(1)[1]] == ["+0.004 s"]
-    clocks.pass_s(0.5, -0.75)
+    by_hand.pass_s(0.5, -0.75)
     anchor, (event,) = anchors.take(2)
     assert (event.kind, event.time_ns) == (EventKind.CLOCK_STEP, 2)
     assert event.text == "the computer's clock of the day moved by -1.250 s"
     assert anchor is not None
-    assert anchor.utc_ns == clocks.utc_ns
+    assert anchor.utc_ns == by_hand.utc_ns
 
 
 def test_both_clocks_are_read_at_once() -> None:

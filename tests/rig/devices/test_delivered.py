@@ -2,9 +2,8 @@
 
 import re
 import time
-from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -27,6 +26,7 @@ from processing.errors import DeviceError
 from rig.devices import Devices, OpenCamera, find_exposure, frame_stream
 from rig.devices.frame_stream import FrameStream
 from rig.settings import validate_configuration
+from tests.rig.devices.streams import Driver, frames_of
 
 
 def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
@@ -120,26 +120,6 @@ def test_a_clock_that_cannot_be_right_is_refused_and_a_computer_that_lags_is_not
     with pytest.raises(DeviceError, match="times as fast as the computer's") if refused else nullcontext():
         for one in clock_at(rate, late_s):
             watch.see(one)
-
-
-@dataclass
-class Driver:
-    """Somebody's own: a plain read, and a word for everything else."""
-
-    make: Callable[[int], object]
-    count: int = 0
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def read(self, _timeout_s: float) -> object:
-        self.count += 1
-        return self.make(self.count - 1)
-
-    @property
-    def status(self) -> CameraStatus:
-        return CameraStatus(delivered=self.count)
 
 
 def test_the_stream_ends_with_what_was_wrong() -> None:
@@ -239,19 +219,10 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
 
 def test_a_slow_camera_is_waited_for_two_frame_times_whoever_reads_it(tmp_path: Path) -> None:
     """A preflight called one of a frame in ten seconds stalled after five; a run would have taken it."""
-    reads: list[float] = []
-
-    def nothing(number: int) -> object:
-        raise FrameTimeout(f"own: no frame {number}")
-
-    class Slow(Driver):
-        def read(self, timeout_s: float) -> object:
-            reads.append(timeout_s)
-            return super().read(timeout_s)
-
+    slow = Driver(frames_of(0, silences=99))
     camera = {"driver": "simulated", "frame_rate_hz": 0.1, "timeout_s": 5.0}
     config = validate_configuration({"camera": camera, "session": {"output": str(tmp_path)}}, "test")
-    stream = Devices(config).stream(config, OpenCamera(Slow(nothing), INFO, ()))  # type: ignore[arg-type]
+    stream = Devices(config).stream(config, OpenCamera(slow, INFO, ()))  # type: ignore[arg-type]
     with pytest.raises(FrameTimeout, match="no frame"):
         stream.begin()
-    assert sum(reads) == pytest.approx(20.5)
+    assert sum(slow.asked_s) == pytest.approx(20.5)

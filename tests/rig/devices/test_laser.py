@@ -12,10 +12,9 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import ControlService, LaserReport, Light, LightRefused
+from rig.control import ControlService, Light, LightRefused
 from rig.control.service import ControlSnapshot
 from rig.devices.session_devices import Devices
-from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
 from tests.benchmarks.safety_lasers import TRIALS, measured
 from tests.benchmarks.safety_sequences import run_sequences
@@ -180,19 +179,6 @@ def test_without_the_relay_sigterm_darkens_it(board: FirmwareBoard, tmp_path: Pa
             process.send_signal(signal.SIGTERM)
             process.wait(ENDED_WITHIN_S)
         assert not instrument.on
-
-
-def test_preflight_says_how_the_laser_stands() -> None:
-    assert frame_checks.laser(None, True).ok
-    for light, wired, ok, remedy in (
-        (Light.OFF, True, False, "rig doctor"),
-        (Light.ON, True, True, ""),
-        (Light.ON, False, True, "relay"),
-    ):
-        verdict = frame_checks.laser(LaserReport(light, 0.5e-3), wired)
-        assert (verdict.ok, bool(verdict.remedy)) == (ok, bool(remedy))
-        assert remedy in verdict.remedy
-        assert ("killed" in verdict.reason) is (remedy == "relay")
 
 
 def test_nothing_is_lit_without_leave() -> None:

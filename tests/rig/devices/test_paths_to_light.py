@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
 from rig.devices.aligning import LivePicture
 from rig.instrument import complete
-from rig.measure import measure_session, preflight_rig, record_plainly
+from rig.measure import measure_session, notices, preflight_rig, record_plainly
 from rig.measure.notices import PreflightWait
 from rig.measure.session_orders import Notes, orders
 from rig.prepare.balancing import measure
@@ -411,7 +412,9 @@ def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     never = config.preflight.model_copy(update={"when": "always", "min_temperature_c": 35.0})
     config = config.model_copy(update={"preflight": never})
     patient = never.model_copy(update={"wait_max_s": 3600.0})
-    waiting = PreflightWait("series", patient, sleep=lambda _s: loop.open_and_close(opened[-1]))
+    waiting = PreflightWait("series", patient)
+    clock: Any = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _s: loop.open_and_close(opened[-1]))
+    monkeypatch.setattr(notices, "time", clock)
     with pytest.raises(LightRefused, match="nobody has acknowledged it"):
         measure_session(config, LIVE, tmp_path / "series", waiting=waiting)
     assert len(lit) == 1

@@ -18,22 +18,21 @@ import cv2
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
+from acquisition.camera import CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frames.losses import FrameLosses
-from acquisition.frames.queue import Policy
 from processing.errors import DeviceError
-from rig.devices.frame_stream import FrameStream
+from rig.devices import frame_stream
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.rig.devices.streams import Run
 
 pytestmark = pytest.mark.slow
 
 ASKED = CameraSettings(width_px=32, height_px=32, frame_rate_hz=50.0, exposure_us=100.0)
-WITHIN_S = 60.0
 
 
 class Unnoticing(Usb3VisionCamera):
@@ -50,56 +49,13 @@ class Unnoticing(Usb3VisionCamera):
 
 def plugged(
     driver: type[Usb3VisionCamera] = Usb3VisionCamera, asked: CameraSettings = ASKED
-) -> tuple["Run", VisionDevice]:
+) -> tuple[Run, VisionDevice]:
     """A run with a device that can be unplugged, in which another program has left its settings."""
     device = VisionDevice()
     camera = driver(backend=InProcessBackend(device))
     camera.open()
     camera.configure(ASKED)
     return Run(camera, asked), device
-
-
-class Run:
-    """A stream at default settings, and what came out of it."""
-
-    def __init__(self, camera: Camera, asked: CameraSettings = ASKED, policy: Policy = "drop") -> None:
-        self.camera = camera
-        self.stream = FrameStream(self.camera, asked, policy=policy, applied=self.camera.configure(asked))
-        self.stream.start_camera()
-        assert self.stream.begin() is not None
-        self.frames: list[Frame] = []
-        self.texts: list[tuple[str, str]] = []
-
-    @property
-    def kinds(self) -> list[str]:
-        return [kind for kind, _ in self.texts]
-
-    @property
-    def numbers(self) -> list[int]:
-        return [frame.sequence for frame in self.frames]
-
-    def until(self, reached: Callable[[], bool]) -> None:
-        deadline_s = time.monotonic() + WITHIN_S
-        while not reached():
-            assert time.monotonic() < deadline_s, (self.kinds, self.stream.end_reason)
-            self.frames += self.stream.take(64, 0.1)
-            self.texts += self.stream.take_events()
-
-    def more(self, count: int = 20, kind: str = "") -> None:
-        """So many more frames, and an event of this kind."""
-        before = len(self.frames)
-        self.until(lambda: len(self.frames) > before + count and (not kind or kind in self.kinds))
-
-    def close(self, *, failed: bool = False) -> None:
-        self.stream.close()
-        self.camera.close()
-        if failed:
-            assert self.stream.failure is not None
-        else:
-            assert self.stream.failure is None
-            # every number once, and what is missing counted
-            assert self.numbers == sorted(set(self.numbers))
-            assert self.numbers[-1] + 1 - len(self.numbers) == self.stream.losses.total
 
 
 def emulated() -> tuple[Run, Any]:
@@ -250,9 +206,9 @@ def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:
     assert run.camera.opened == 2
 
 
-def test_one_that_does_not_come_back_is_named() -> None:
+def test_one_that_does_not_come_back_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_stream, "_RECONNECT_S", 1.0)
     run, device = plugged()
-    run.stream._reconnect_s = 1.0
     run.more()
     device.unplug()
     run.until(lambda: run.stream.drained)

@@ -1,12 +1,8 @@
 """What is said of light and controller where one of them is not there, or is another's."""
 
-import os
-import pty
 import re
-import threading
-import tty
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +17,7 @@ from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
+from tests.rig.made_up import speaking_port
 from tests.waiting import until
 
 # a port that nobody answers is waited for
@@ -36,34 +33,6 @@ def run_live(folder: Path, **keys: str) -> tuple[Done, str]:
     stated = {**SHORT, **{key.replace("__", "."): value for key, value in keys.items()}}
     done = rig("run", LIVE, "-o", "out", *set_words(stated), cwd=folder)
     return done, "".join(line for line in done.stderr.splitlines() if line.startswith("rig: "))
-
-
-@contextmanager
-def foreign_board(says: bytes, *, echoes: bool = False) -> Iterator[str]:
-    """The port of a board with another program: it says this unasked, or repeats what it hears."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    ended = threading.Event()
-    os.set_blocking(master, False)
-
-    def run() -> None:
-        while not ended.wait(0.05):
-            try:
-                heard = os.read(master, 4096)
-            except BlockingIOError:
-                heard = b""
-            if out := says + heard * echoes:
-                os.write(master, out)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        yield os.ttyname(slave)
-    finally:
-        ended.set()
-        thread.join()
-        os.close(master)
-        os.close(slave)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +107,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_board_with_another_program_is_told_what_it_lacks(
     tmp_path: Path, impatient: None, says: bytes, echoes: bool, heard: str
 ) -> None:
-    with foreign_board(says, echoes=echoes) as port:
+    with speaking_port(lambda heard: says + heard * echoes) as port:
         known(port)
         done, line = run_live(tmp_path, controller__kind="serial", controller__port=port)
     assert done.returncode == 1
@@ -176,7 +145,7 @@ def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(
 
 def test_a_port_that_another_program_has_is_called_that() -> None:
     with (
-        foreign_board(b"") as port,
+        speaking_port(lambda _: b"") as port,
         closing(SerialPort(port)),
         pytest.raises(PortLost, match="another program has it open; end"),
     ):

@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 
 from processing.balance import Balance
-from processing.deflections import DeflectionUnit
 from processing.units import ARCSEC_RAD
 from rig.instrument.balance import elastic_drop, mass_centre_height, nominal_effects
 from rig.settings import Configuration
+from tests.rig.made_up import balance_of
 
 PENDULUM = {"mass_kg": 2.0, "ball_radius_m": 0.008, "contact_radius_m": 40e-6, "gravity_m_per_s2": 9.8}
 WEIGHT = {"mass_kg": 0.03, "pitch_m": 0.4e-3}
@@ -52,23 +51,19 @@ def test_a_weight_of_unknown_mass_or_sense_has_no_effect(unknown: dict[str, floa
 
 
 def test_the_height_of_the_mass_centre_follows_from_the_period_without_elasticity() -> None:
+    def balance(period_s: float) -> Balance:
+        return balance_of(period_s=period_s, u_period_s=1e-3, amplitude=1e-4)
+
     # a mass centre 7.99 mm below the ball's centre is 10 um above the contact; gravity's period is 4 s
     inertia_kg_m2 = 2.0 * 9.8 * 7.99e-3 * (4.0 / (2.0 * math.pi)) ** 2
     gravity = {"inertia_kg_m2": inertia_kg_m2}
-    height_m, u_m = mass_centre_height(configured(gravity), balance_of(4.0))
+    height_m, u_m = mass_centre_height(configured(gravity), balance(4.0))
     assert height_m == pytest.approx(10e-6, abs=1e-9)
     assert u_m == pytest.approx(2.0 * 8e-3 * 1e-3 / 4.0)
     elastic = configured({**gravity, "gamma_pa": 2e8, "n": 0.2})
     drop = elastic_drop(elastic, 1e-4)
     assert 1e-4 < drop < 0.1
     # the contact's elasticity makes the period longer than gravity alone does
-    raised_m, _ = mass_centre_height(elastic, balance_of(4.0 / math.sqrt(1.0 - 2.0 * drop)))
+    raised_m, _ = mass_centre_height(elastic, balance(4.0 / math.sqrt(1.0 - 2.0 * drop)))
     assert raised_m == pytest.approx(height_m, abs=1e-9)
-    assert np.isnan(mass_centre_height(configured({}), balance_of(4.0))).all()
-
-
-def balance_of(period_s: float) -> Balance:
-    """A balance that states its period, to 1 ms, and its amplitude."""
-    values = dict.fromkeys((item.name for item in fields(Balance)), math.nan)
-    stated = {"period_s": period_s, "u_period_s": 1e-3, "amplitude": 1e-4}
-    return Balance(**{**values, **stated, "time_ns": 0, "unit": DeflectionUnit.RAD})  # type: ignore[arg-type]
+    assert np.isnan(mass_centre_height(configured({}), balance(4.0))).all()

@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from processing.balance import Balance, BalanceLimits
-from processing.deflections import DeflectionUnit
 from processing.spot import SpotFlag, SpotModel, SpotTracker, fixed_light
 from processing.spot.fit_values import Image, Spot
 from rig.instrument import beam_quality
@@ -17,6 +15,7 @@ from rig.instrument.balance import balance_failures, balance_verdicts, run_balan
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict
 from tests.processing.spot.frames import LIT_EIGHT_BIT, exposed, light
+from tests.rig.made_up import balance_of
 
 SHAPE = (110, 120)
 Y, X = np.indices(SHAPE)
@@ -151,10 +150,8 @@ LIMIT_RAD_PER_S = math.radians(LIMITS.spin_deg_per_min) / 60.0
 
 def turning(part_of_limit: float, u_part: float) -> Balance:
     """A balance of which only the rotation is known, in parts of its limit."""
-    unknown: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, math.nan)
-    rate = {"rotation_rad_per_s": part_of_limit * LIMIT_RAD_PER_S}
-    rate |= {"u_rotation_rad_per_s": u_part * LIMIT_RAD_PER_S}
-    return Balance(**{**unknown, "time_ns": 0, "unit": DeflectionUnit.RAD, **rate})
+    rate, u = (part * LIMIT_RAD_PER_S for part in (part_of_limit, u_part))
+    return balance_of(rotation_rad_per_s=rate, u_rotation_rad_per_s=u)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

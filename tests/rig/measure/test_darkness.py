@@ -6,9 +6,8 @@ import json
 import re
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,9 @@ from acquisition.simulation.inputs import RigInputs
 from processing.errors import RigError
 from rig.control import Stage, light_permit
 from rig.control.simulated import SimulatedBoard
-from rig.devices import NoSession, OrderConnection, lit_devices
+from rig.devices import OrderConnection, lit_devices
 from rig.measure import recording
+from tests.rig.acting import acting, at_desk
 from tests.rig.command_line import AT_ONCE, QUICK, Session, run
 from tests.rig.control.wires import pull_cable
 
@@ -80,17 +80,6 @@ def apparatus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Apparatus:
     return Apparatus(monkeypatch, tmp_path / "out")
 
 
-@contextmanager
-def acting(person: Callable[[], None]) -> Iterator[None]:
-    """Somebody who acts beside the program."""
-    thread = threading.Thread(target=person)
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join()
-
-
 @pytest.mark.slow
 def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(apparatus: Apparatus) -> None:
     pull_cable(apparatus.patch, apparatus.recording.is_set)
@@ -126,7 +115,17 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     """The controller's cable is pulled and put in again."""
     pull_cable(apparatus.patch, lambda: apparatus.recording.is_set() and not apparatus.dark.is_set())
     apparatus.patch.setattr(recording, "_MIN_LOST_S", 2.0)
-    with acting(lambda: watch_in_the_dark(apparatus.folder, asked)):
+
+    def ask(line: OrderConnection) -> None:
+        """Once the laser is dark, and its controller is back."""
+        safety = line.news()["safety"]
+        with suppress(RigError):
+            if safety["trip"]:
+                line.order(f"acknowledge {safety['trip']['number']}")
+            elif asked and safety["light"] == "off":
+                line.order("light")
+
+    with acting(lambda: at_desk(apparatus.folder, ask)):
         session = apparatus.run(**WAITING, session__max_duration_s="8")
     assert "laser off, confirmed by the controller" in session.said
     # who is asked for light is not asked to look for the spot
@@ -135,24 +134,6 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     assert kinds == ["laser unknown", "laser dark", *["laser lit"] * asked]
     assert [entry["what"] for entry in session.audit].count("lit") == 1 + asked
     assert session.entries[-1]["state"] == "complete"
-
-
-def watch_in_the_dark(folder: Path, asks: bool) -> None:
-    """As a desk: watch the session, and when its laser is dark, and its controller is back, ask for light."""
-    heard = False
-    while not heard or (folder / ".orders.json").exists():
-        with suppress(NoSession), OrderConnection(folder) as line:
-            while True:
-                heard = True
-                safety = line.news()["safety"]
-                if safety["trip"]:
-                    with suppress(RigError):
-                        line.order(f"acknowledge {safety['trip']['number']}")
-                elif asks and safety["light"] == "off":
-                    with suppress(RigError):
-                        line.order("light")
-                time.sleep(0.05)
-        time.sleep(0.05)
 
 
 @pytest.mark.slow

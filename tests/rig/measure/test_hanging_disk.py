@@ -20,6 +20,7 @@ from rig.instrument import Block
 from rig.measure import recorder as module
 from rig.measure.recorder import RecordEntry, Recorder
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
+from tests.rig.acting import acting
 from tests.rig.command_line import SMALL, run
 from tests.waiting import until
 
@@ -69,14 +70,12 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
     )
     # what comes now finds no room in front of the processing either
     frames = BoundedQueue[Frame](8, "drop")
-    thread = threading.Thread(target=lambda: put_all(frames, recorder))
-    thread.start()
-    later = range(FRAMES, 2 * FRAMES)
-    taken = [number for number in later if frames.put(frame(number))]
-    assert frames.dropped == FRAMES - len(taken) > 0
-    disk.go_on()
-    frames.close()
-    thread.join()
+    with acting(lambda: put_all(frames, recorder)):
+        later = range(FRAMES, 2 * FRAMES)
+        taken = [number for number in later if frames.put(frame(number))]
+        assert frames.dropped == FRAMES - len(taken) > 0
+        disk.go_on()
+        frames.close()
     recorder.close()
     assert recorder.error is None
     assert recorder.alarm == ""
@@ -112,12 +111,10 @@ def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.Mo
         disk.go_on()
 
     monkeypatch.setattr(RecordWriter, "write_spots", begun)
-    hanging = threading.Thread(target=hang)
-    hanging.start()
     # a run faster than real time is over before it writes to the disk for the second time
     live = {**SMALL, "session.max_duration_s": "4", "simulation.real_time": "true"}
-    session = run(disk.folder / "out", live, preflight__when='"never"')
-    hanging.join()
+    with acting(hang):
+        session = run(disk.folder / "out", live, preflight__when='"never"')
     with RecordReader(session.record) as reader:
         sequences = reader.spots()["sequence"].tolist()
     assert sequences == list(range(len(sequences)))

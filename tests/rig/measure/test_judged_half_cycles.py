@@ -17,6 +17,7 @@ from rig.instrument import Block
 from rig.measure.readings import StepEvents
 from rig.measure.session_orders import StartJudge
 from rig.settings import Configuration
+from tests.rig.made_up import balance_of, half_cycle
 
 LEVER = Lever(arm_m=1.0, pixel_pitch_m=5e-6)
 HALF_PERIOD_NS = 2_000_000_000
@@ -24,11 +25,6 @@ HALF_PERIOD_NS = 2_000_000_000
 
 def judge(lever: Lever | None = LEVER) -> StartJudge:
     return StartJudge(Configuration(camera={"driver": "simulated"}), deflection_unit(lever))
-
-
-def half_cycle(index: int, amplitude: float, rest: float = 0.0, late_s: float = 0.0) -> HalfCycle:
-    turn_ns = index * HALF_PERIOD_NS + round(1e9 * late_s)
-    return HalfCycle(index, turn_ns, 1e-4, amplitude, 1e-8, 2.0, 1e-4, rest, 1, 0)
 
 
 @pytest.mark.parametrize(
@@ -50,14 +46,12 @@ def test_a_first_amplitude_in_arcsec_has_limits(lever: Lever | None, amplitude: 
 
 def balance(rotation_deg_per_min: float, u_deg_per_min: float = 0.01) -> Balance:
     per_min = math.pi / 180.0 / 60.0
-    known = {
-        "unit": DeflectionUnit.RAD,
-        "amplitude": 124.0 * ARCSEC_RAD,
-        "transverse_ratio": 0.001,
-        "rotation_rad_per_s": rotation_deg_per_min * per_min,
-        "u_rotation_rad_per_s": u_deg_per_min * per_min,
-    }
-    return Balance(**{**dict.fromkeys(Balance.__slots__, math.nan), **known})
+    return balance_of(
+        amplitude=124.0 * ARCSEC_RAD,
+        transverse_ratio=0.001,
+        rotation_rad_per_s=rotation_deg_per_min * per_min,
+        u_rotation_rad_per_s=u_deg_per_min * per_min,
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,11 +69,11 @@ def test_a_plane_that_turns_is_no_start(rate: float, u: float, rejected: bool) -
     assert started.rejection([], [balance(9.0)], 30.0) == ""
 
 
-def block(half_cycle: HalfCycle, background_dn: float | None = None) -> Block:
+def block(turned: HalfCycle, background_dn: float | None = None) -> Block:
     """One that ends with a turning point."""
     spots = [] if background_dn is None else [Spot(*[1.0] * 7, 150.0, background_dn, 1.0, 0)] * 10
     nothing = Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD)
-    return Block(spots=spots, deflections=nothing, half_cycles=[half_cycle], balances=[])
+    return Block(spots=spots, deflections=nothing, half_cycles=[turned], balances=[])
 
 
 @pytest.mark.parametrize(
@@ -97,7 +91,7 @@ def test_a_step_is_an_event_at_its_half_cycle(
     steps, found = StepEvents(DeflectionUnit.RAD), []
     for index, (rest, light) in enumerate(noise):
         late = index >= 40
-        turned = half_cycle(index, 5e-4, (rest + late * rest_arcsec) * ARCSEC_RAD)
+        turned = half_cycle(index, 5e-4, rest=(rest + late * rest_arcsec) * ARCSEC_RAD)
         found += steps.take(block(turned, 6.0 + light + late * background_dn))
     (event,) = found
     assert (event.kind, event.text) == (kind, text)

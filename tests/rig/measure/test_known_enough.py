@@ -20,7 +20,6 @@ from acquisition.record.topics import (
 )
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
-from processing.swing import HalfCycle
 from rig.control import Light
 from rig.devices import FrameStream
 from rig.instrument import Phase, RunNow, piece_contents
@@ -35,6 +34,7 @@ from rig.settings import StopCondition, load_configuration
 from rig.terminal import plain_values
 from rig.view.show import show_record
 from tests.rig.command_line import CONFIGS, SMALL, configured
+from tests.rig.made_up import half_cycle
 from tests.rig.view.rrd_contents import column
 
 WHEN = (StopCondition("c", 0.03), StopCondition("b", 0.01))
@@ -64,16 +64,13 @@ def test_a_run_ends_once_all_conditions_hold_in_fits_in_a_row(before: list[Any])
 
 
 def test_a_run_ends_below_its_amplitude_or_at_its_time_limit() -> None:
-    def half_cycle(amplitude: float) -> HalfCycle:
-        return HalfCycle(0, 0, 1e-6, amplitude, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
-
     end = EndOfRun(2.0, 1e3)
     # one or two that are disturbed do not end it
-    below, above = half_cycle(1.9), half_cycle(2.0)
+    below, above = half_cycle(0, 1.9), half_cycle(0, 2.0)
     assert end.reason([above, below, below], 1.0, KNOWN) is None
     assert end.reason([above, below], 999.9) is None
     assert end.reason([below, below], 1.0) == "final amplitude reached"
-    assert EndOfRun(0.0, 1e3).reason([half_cycle(0.1)] * 9, 1e3) == "time limit of 1000 s reached"
+    assert EndOfRun(0.0, 1e3).reason([half_cycle(0, 0.1)] * 9, 1e3) == "time limit of 1000 s reached"
 
 
 def test_the_screen_says_what_is_known_and_what_the_end_waits_for() -> None:

@@ -1,37 +1,19 @@
 """What an operator notes is in the record of the run, with its time, and on the disk at once."""
 
 import json
-import threading
-import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RigError
-from rig.devices import NoSession, OrderConnection, lit_devices
+from rig.devices import OrderConnection, lit_devices
 from rig.measure.session_orders import NOTES_NAME, Notes
 from rig.report.source import read_source
 from rig.view.show import show_record
+from tests.rig.acting import acting, at_desk
 from tests.rig.command_line import AT_ONCE, QUICK, run
 from tests.rig.view.rrd_contents import column
-
-
-def note_when_measuring(folder: Path, said: list[str]) -> None:
-    """As a desk: note two lines once the record has begun."""
-    deadline_s = time.monotonic() + 55.0
-    while not said and time.monotonic() < deadline_s:
-        with suppress(NoSession), OrderConnection(folder) as line:
-            while not said:
-                state = line.news()["state"]
-                if (state.get("elapsed_s") or 0.0) > 1.0:
-                    said.append(line.order("note the lamp in the corridor\n is on"))
-                    said.append(line.order("note and off"))
-                    with pytest.raises(RigError, match="an empty note"):
-                        line.order("note  ")
-                time.sleep(0.05)
-        time.sleep(0.05)
 
 
 @pytest.mark.slow
@@ -42,11 +24,19 @@ def test_a_note_goes_into_the_record_the_report_and_the_view_and_the_camera_sees
     # on a busy machine frames come late
     monkeypatch.setattr(lit_devices, "_MAX_DARK_FRAMES_S", 30.0)
     out, said = tmp_path / "out", list[str]()
-    person = threading.Thread(target=note_when_measuring, args=(out, said))
-    person.start()
+
+    def note(line: OrderConnection) -> None:
+        """Two lines, once the record has begun."""
+        if not said and (line.news()["state"].get("elapsed_s") or 0.0) > 1.0:
+            said.append(line.order("note the lamp in the corridor\n is on"))
+            said.append(line.order("note and off"))
+            with pytest.raises(RigError, match="an empty note"):
+                line.order("note  ")
+        line.beat()
+
     live = {**QUICK, **AT_ONCE, "session.max_duration_s": "10", "session.operator": '"Ada"'}
-    session = run(out, live, config="live.toml")
-    person.join()
+    with acting(lambda: at_desk(out, note)):
+        session = run(out, live, config="live.toml")
     assert said == ["noted: the lamp in the corridor is on", "noted: and off"], session.said
     assert "laser off, confirmed by the controller and the camera\n" in session.said
     with RecordReader(session.record) as record:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.record.reader import RecordReader
 from rig.measure import notices
 from rig.measure.notices import Notices
 from rig.settings import SessionSettings
@@ -20,7 +21,7 @@ def program(folder: Path, then: str) -> tuple[str, str]:
     return sys.executable, str(path)
 
 
-def test_the_failure_of_a_session_is_told_with_its_cause(tmp_path: Path) -> None:
+def test_too_few_swings_are_told_as_the_cause_of_a_failure_and_the_record_is_kept(tmp_path: Path) -> None:
     session = run(
         tmp_path / "out",
         SMALL,
@@ -32,7 +33,9 @@ def test_the_failure_of_a_session_is_told_with_its_cause(tmp_path: Path) -> None
     assert (kind, folder) == ("failure", str(session.folder))
     # the cause, and not only that there is one
     assert "run-1.mcap: " in text
-    assert session.record.exists()
+    assert "needs at least 10" in session.done.stdout
+    with RecordReader(session.record) as reader:
+        assert len(reader.spots()) >= 200
 
 
 def test_a_command_that_hangs_delays_nothing(
@@ -44,9 +47,9 @@ def test_a_command_that_hangs_delays_nothing(
     told.tell("alarm", "the laser is dark")
     told.wait()
     # it has not answered, and this thread has come as far as here
-    (thread,) = told.calls
-    assert thread.is_alive()
-    thread.join(60.0)
+    (call,) = told.calls
+    assert not call.done()
+    call.result(60.0)
     said = capsys.readouterr().err
     assert "did not answer within 0.1 s: it is unknown whether the message arrived" in said
     assert "was ended after 1 s" in said

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from acquisition.camera import Frame
 from calibration import Axes, Shutter
-from calibration.pointing import Stability, stability
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
@@ -76,17 +75,17 @@ def asking(ground: float) -> PreflightSettings:
     return PreflightSettings(max_ground_rad_per_s2_rthz=ground)
 
 
-def shaken(size: float, shake: float) -> Stability:
-    """Noise of such a size in four seconds, and a shake at the mains' frequency."""
-    times = np.arange(2000) / 500.0
-    noise = np.random.default_rng(3).normal(0.0, size, 2000)
-    return stability(times, noise + shake * np.sin(2 * math.pi * 50.0 * times), np.full(2000, size))
+def shaken(size: float, shake: float, unit: DeflectionUnit = RAD) -> list[Verdict]:
+    """Of noise of such a size in four seconds, and a shake at the mains' frequency along y."""
+    times_s = np.arange(2000) / 500.0
+    noise, u = np.random.default_rng(3).normal(0.0, size, 2000), np.full(2000, size)
+    y = noise + shake * np.sin(2 * math.pi * 50.0 * times_s)
+    deflections = Deflections(np.rint(1e9 * times_s).astype(np.int64), 0.1 * noise, y, 0.1 * u, u, unit)
+    return rest_checks.stillness(TrialFrames([], [], deflections, True), LIMITS)
 
 
 def at_rest(noise_arcsec: float, shake_arcsec: float, which: int) -> Verdict:
-    quiet = shaken(0.01 * ARCSEC_RAD, 0.0)
-    other = shaken(noise_arcsec * ARCSEC_RAD, shake_arcsec * ARCSEC_RAD)
-    return rest_checks.noise_and_vibration(quiet, other, RAD, LIMITS)[which]
+    return shaken(noise_arcsec * ARCSEC_RAD, shake_arcsec * ARCSEC_RAD)[which]
 
 
 def peak(amplitude_dn: float) -> Check:
@@ -121,6 +120,8 @@ GO: dict[str, Check] = {
     "humidity that nobody asks for": air(20.0, math.nan, 1e5),
     "controller": lambda: frame_checks.controller(opened(), True),
     "no controller": lambda: frame_checks.controller(SafetyNow(), False),
+    "laser": lambda: frame_checks.laser(LaserReport(Light.ON, 0.5e-3), True),
+    "no laser": lambda: frame_checks.laser(None, True),
 }
 NO_GO: dict[str, tuple[Check, str]] = {
     "spot": (
@@ -161,6 +162,7 @@ NO_GO: dict[str, tuple[Check, str]] = {
         lambda: frame_checks.controller(SafetyNow(controller=ControlState.LOST), True),
         "rig doctor",
     ),
+    "laser": (lambda: frame_checks.laser(LaserReport(Light.OFF), True), "rig doctor"),
 }  # fmt: skip
 
 
@@ -222,6 +224,11 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     for verdict, mark in zip(verdicts, marks, strict=True):
         assert next(line for line in lines if verdict.name in line[:24]).split()[0] == mark, verdict.name
     assert "not checked: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
+    # lit, and only this program switches it off
+    laser = verdicts[3]
+    assert laser.ok
+    assert "killed" in laser.reason
+    assert "relay" in laser.remedy
     # what stands against a run is one line
     line = failures(verdicts)
     assert "disk space" in line
@@ -244,9 +251,8 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
 @pytest.mark.parametrize("size_px", [0.0001, 10.0])
 def test_px_are_called_px_and_not_held_against_limits_in_arcsec(size_px: float) -> None:
     """Values that would be go, and values that would be no-go, if their px were taken for arcsec."""
-    trembling = shaken(size_px, 50.0 * size_px)
     verdicts = [
-        *rest_checks.noise_and_vibration(trembling, trembling, PX, LIMITS),
+        *shaken(size_px, 50.0 * size_px, PX),
         rest_checks.rest_position(look(size_px, 70 * size_px, PX), LIMITS),
     ]
     for verdict in verdicts:

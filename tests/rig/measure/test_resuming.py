@@ -1,14 +1,11 @@
 """Sessions that wait, go on, and follow each other, measured with a clock of their own."""
 
-import contextlib
 import json
-import os
-import pty
 import re
-import tty
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Event, Thread
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,10 +14,11 @@ from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.devices import Devices
 from rig.interruption import Terminated
-from rig.measure import measure_sessions, resume_session
+from rig.measure import measure_sessions, notices, resume_session
 from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, rig, run, set_words
+from tests.rig.made_up import speaking_port
 from tests.rig.measure.test_preparation import BY_HAND
 
 
@@ -28,39 +26,24 @@ class Night:
     """The room at night: time passes only while the program waits; after half an hour the air has cooled."""
 
     def __init__(self) -> None:
-        self.now_s = 0.0
+        self.now_s, self.port = 0.0, ""
         self.waits_s: list[float] = []
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
-        self._over = Event()
-        self._writing = Thread(target=self._write)
-        self._writing.start()
 
     def sleep(self, wait_s: float) -> None:
         self.waits_s.append(wait_s)
         self.now_s += wait_s
 
-    def _write(self) -> None:
-        os.set_blocking(self._master, False)
-        while not self._over.wait(0.005):
-            temperature_c = 23.0 if self.now_s < 1800.0 else 20.0
-            # which fails while no session reads
-            with contextlib.suppress(BlockingIOError):
-                os.write(self._master, f"{temperature_c:.1f}, 40.0, 1000.0\n".encode())
-
-    def close(self) -> None:
-        self._over.set()
-        self._writing.join()
-        os.close(self._master)
-        os.close(self._slave)
+    def air(self, _: bytes) -> bytes:
+        """A line of the sensor."""
+        return b"%.1f, 40.0, 1000.0\n" % (23.0 if self.now_s < 1800.0 else 20.0)
 
 
 @pytest.fixture
-def night() -> Iterator[Night]:
-    made = Night()
-    yield made
-    made.close()
+def night(monkeypatch: pytest.MonkeyPatch) -> Iterator[Night]:
+    night = Night()
+    monkeypatch.setattr(notices, "time", SimpleNamespace(monotonic=lambda: night.now_s, sleep=night.sleep))
+    with speaking_port(night.air, 0.005) as night.port:
+        yield night
 
 
 def written(path: Path, values: dict[str, str]) -> Path:
@@ -93,7 +76,7 @@ def test_a_session_waits_for_its_conditions_and_is_left_out_without_them(
         written(tmp_path / "silicon.toml", {**BY_HAND, **patient, **quiet}),
     ]
     out = tmp_path / "out"
-    assert measure_sessions(sources, (), out, now_s=lambda: night.now_s, sleep=night.sleep) == 1
+    assert measure_sessions(sources, (), out) == 1
     said = capsys.readouterr().err
     # three times for the temperature, twice for quiet
     assert night.waits_s == [600.0, 600.0, 600.0, 1800.0, 1800.0]
@@ -120,7 +103,7 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     state = json.loads((out / "session.json").read_text())
     (out / "session.json").write_text(json.dumps({**state, "runs_wanted": 2}))
     with monkeypatch.context() as killed:
-        killed.setattr(session_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        killed.setattr(session_module, "report", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             resume_session(out)
     assert [one.record for one in read_results(out).runs] == ["run-1.mcap"]

@@ -15,15 +15,14 @@ from rich.console import Console
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedClockStep, RecordedLosses
-from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.instrument.run_now import CameraClock, Phase, RecordContents, RunNow
 from rig.measure import screen as screen_module
 from rig.measure.run_status import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
+from tests.rig.made_up import balance_of, half_cycle
 
 RAD = DeflectionUnit.RAD
 SEEN = RunNow(
@@ -115,10 +114,10 @@ def test_a_new_record_begins_with_what_the_rig_says_and_no_value_of_the_rejected
 
 
 def test_what_a_record_holds_adds_up_and_flagged_half_cycles_have_no_amplitude() -> None:
-    half_cycles = [
-        HalfCycle(n, round(1e9 * (10.0 + 2.1 * n)), 1e-6, size * ARCSEC_RAD, 1e-9, 2.1, 1e-6, 0.0, 1, flags)
-        for n, size, flags in ((0, 124.0, 0), (1, 99.0, 1))
-    ]
+    first, second = (
+        half_cycle(n, size * ARCSEC_RAD, 2.1, late_s=10.0) for n, size in enumerate((124.0, 99.0))
+    )
+    half_cycles = [first, replace(second, flags=1)]
     before = RunNow(half_cycles=5, dropped_frames=7)
     lost = [RecordedLosses(1, *astuple(FrameLosses(by_bus=count))) for count in (9, 3)]
     for losses, dropped in zip(lost, (9, 7), strict=True):
@@ -165,11 +164,7 @@ def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present
 def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
     """Of a decay from 124 arcsec by 1 % a half-cycle, after a minute."""
     shown = display(max_duration_s=longest_s)
-    half_cycles = [
-        HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
-        for n in range(30)
-    ]
-    shown.take(RecordContents(half_cycles=half_cycles))
+    shown.take(RecordContents(half_cycles=[half_cycle(n, 124 * 0.99**n * ARCSEC_RAD) for n in range(30)]))
     seen = RunNow(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
     shown.show(seen)
     values = shown.values(seen)
@@ -192,9 +187,8 @@ def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
 
 @pytest.mark.parametrize(("unit", "size"), [(DeflectionUnit.PX, 1.0), (RAD, ARCSEC_RAD)])
 def test_the_screen_shows_the_balance_in_its_own_unit(unit: DeflectionUnit, size: float) -> None:
-    fields: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-3)
     places = {"transverse": 2.5 * size, "rest_x": -0.0004 * size, "rest_y": -1.5 * size}
-    balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
+    balance = balance_of(unit, transverse_ratio=1e-3, line_angle_rad=1e-3, **places)
     shown = screen(replace(SEEN, balance=balance), display(unit))
     assert f"2.500 {unit.shown} (0.10 %)" in shown
     assert f"X +0.000, Y −1.500 {unit.shown}" in shown

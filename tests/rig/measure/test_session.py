@@ -3,7 +3,6 @@
 import math
 import os
 import signal
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,14 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from acquisition.frames.queue import BoundedQueue
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.true_path import true_turning_points
+from processing.errors import ConfigurationError
 from processing.swing import HalfCycleFlag
 from rig.instrument.provenance import frame_shape, recorded_configuration
-from rig.measure import record_plainly
+from rig.measure import record_plainly, session_folder
 from rig.settings import load_configuration
 from rig.view.replay import Replay
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, configured, rig, run, set_words
+from tests.rig.acting import acting
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, Session, configured, events_of, rig, run, set_words
 from tests.waiting import until
 
 TRUTH = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6}
@@ -71,22 +72,17 @@ def test_retracking_is_equal_within_a_tenth_of_the_uncertainty(measured_series: 
     assert comparison.half_cycles.largest_u < 0.1
 
 
-@pytest.mark.slow
-def test_a_folder_that_holds_a_run_is_never_written_over(measured_series: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in measured_series.iterdir()}
-    again = run(measured_series, {})
-    assert again.done.returncode == 2
-    assert "run-1.mcap: exists already and is not overwritten" in again.said
-    assert again.said.count("\n") == 1
-    assert {path: path.stat().st_mtime_ns for path in measured_series.iterdir()} == before
+@pytest.mark.parametrize("name", ["run-1.mcap", "results.json"])
+def test_a_folder_that_holds_a_run_is_never_written_over(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(ConfigurationError, match="holds a run already, which is never overwritten"):
+        session_folder(configured({}), CONFIGS / "demo.toml", tmp_path)
 
 
-def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
-    session = run(tmp_path / "out", SMALL, session__max_duration_s="9")
-    assert session.done.returncode == 1
-    assert "needs at least 10" in session.done.stdout
-    with RecordReader(session.record) as reader:
-        assert len(reader.spots()) >= 450
+def test_a_run_ends_at_its_final_amplitude_in_arcsec(tmp_path: Path) -> None:
+    wanted = {**QUICK, "session.final_amplitude_arcsec": "118", "session.max_duration_s": "60"}
+    record_plainly(configured(wanted), CONFIGS / "demo.toml", tmp_path / "run-1.mcap")
+    assert events_of(tmp_path / "run-1.mcap")[-1] == ("stop", "final amplitude reached")
 
 
 def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
@@ -133,10 +129,8 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
         until(lambda: record.exists() and record.stat().st_size > 250_000)
         os.kill(os.getpid(), signal.SIGINT)
 
-    pressing = threading.Thread(target=press)
-    pressing.start()
-    session = run(tmp_path / "out", endless)
-    pressing.join()
+    with acting(press):
+        session = run(tmp_path / "out", endless)
     assert "stopped by the user" in session.said
     assert session.runs[0]["half_cycles"] >= 10
     assert session.events[-1][1] == "stopped by the user"

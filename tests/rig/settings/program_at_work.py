@@ -129,9 +129,10 @@ def go_through_the_phases(folder: Path) -> None:
     camera.configure(asked)
     optics = optics_of(config, opened.info.full_scale_dn)
     devices: Any = _Stubs()
-    phases = PhasesBeforeRecord(config, devices, opened, optics, folder, force=True)
+    plan = RunPlan(config, DEMO, folder / "phases.mcap", "run 1", force=True)
+    phases = PhasesBeforeRecord(plan, devices, opened, optics)
     outcome = MeasurementRun(
-        plan=RunPlan(config, DEMO, folder / "phases.mcap", "run 1"),
+        plan=plan,
         camera=opened,
         stream=FrameStream(camera, asked, policy="wait"),
         optics=optics,

@@ -62,14 +62,14 @@ def test_advice_names_what_is_out_of_limits_and_reaches_the_view_of_a_record(tmp
         balance = reader.balances()[-1]
     config = complete(load_configuration(CONFIG))
     tilted = replace(balance, rest_x=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
-    text = advice_for(config, tilted).markdown
+    text = advice_for(config, tilted)
     assert text.startswith("**")
     assert "- rest position X +40" in text
     assert "mass centre too far towards +X" in text
     assert "- angle of the line +2" in text
     assert "rest position Y" not in text.split("\n", 1)[1]
-    assert advice_for(config, replace(tilted, unit=DeflectionUnit.PX)).markdown == ""
-    assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
+    assert advice_for(config, replace(tilted, unit=DeflectionUnit.PX)) == ""
+    assert advice_for(config, replace(tilted, rest_x=math.nan)) == ""
 
 
 def test_a_record_without_a_calibration_is_shown_in_px(tmp_path: Path) -> None:
