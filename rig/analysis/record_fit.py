@@ -222,11 +222,8 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
 
 
 def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
-    """Relative standard uncertainty of the rate with which the run's times were computed.
-
-    It is that of the calibration; for a calibrated rate that the run contradicts, and for an assumed rate, it
-    is the deviation from the run's own rate.
-    """
+    """Relative standard uncertainty of the rate with which the run's times were computed."""
+    # that of the calibration, or, where that is contradicted or lacks, the deviation from the run's own rate
     u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
         return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)

@@ -229,11 +229,7 @@ def _with_apparatus(
     budget: Mapping[str, Budget],
     pendulum: PendulumOnBall,
 ) -> tuple[ResultRow, ...]:
-    """The rows of parameters with the apparatus, of surface energies, and of the apparatus alone.
-
-    The apparatus adds to the uncertainty, and to both sides of the interval. A quantity that is not
-    determined has neither value nor uncertainty.
-    """
+    """The rows of parameters with the apparatus, of surface energies, and of the apparatus alone."""
     quantities = {determination.name: (estimate, determination) for estimate, determination in parameters}
     if "c" in quantities:
         estimate, c = quantities["c"]

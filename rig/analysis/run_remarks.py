@@ -319,10 +319,7 @@ def _waveform_sentence(information_gain: Mapping[str, Mapping[str, float]]) -> s
 
 
 def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
-    """Sentence on the drag by the data, or on the prior that is used where they do not determine it.
-
-    `fitted` is whether the drag is a parameter of the fit.
-    """
+    """Sentence on the drag (`fitted` if a parameter of the fit) by the data, or on the prior in use."""
     shown, row = quantity("drag_s"), rows.get("drag_s")
     shifts = {"b": drag.relative_shift_b, "c": drag.relative_shift_c}
     changes = " and ".join(

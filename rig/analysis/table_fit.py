@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.digest import cached_sha256
+from acquisition.record.digest import cached_sha256, utc
 from processing.arrays import Floats, Ints
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
@@ -25,7 +25,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.ambient import ambient_warnings, stated_ambient, table_ambient
+from rig.analysis.ambient import ambient_warnings, stated_ambient
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
@@ -202,7 +202,7 @@ def _analyse(
     unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
     session: dict[str, str] = {}
     if config is not None:
-        ambient = table_ambient(config, None if utc_ns is None else seconds(utc_ns))
+        ambient = stated_ambient(config, None if utc_ns is None else utc(utc_ns))
         run = replace(run, ambient=ambient)
         session = {key: text for key in _SESSION_KEYS if (text := getattr(config.session, key))}
         warnings += ambient_warnings(ambient)
@@ -230,11 +230,8 @@ def _analyse(
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
-    """The decay with the fast mode's part removed from the positions along the swing.
-
-    The axes of a table are not stated, and the line of the swing is not at a right angle to the fast mode.
-    The decay is unchanged where that line is not known at all times.
-    """
+    """The decay with the fast mode's part removed from the positions along the swing."""
+    # where the line of the swing is not known at all times, its angle to the fast mode is not, either
     if followed.problem:
         return followed
     period_s = summarise_decay(turning_points(followed.half_cycles)).period_s.value
@@ -277,26 +274,19 @@ def separate_decays(half_cycles: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     A decay begins with the first half-cycle, with one in which the detector saw a release or a kick, and
     where an amplitude is clearly larger than the previous one.
     """
-    decays: list[list[HalfCycle]] = []
+    decays: list[list[HalfCycle]] = [[]] if half_cycles else []
     previous: HalfCycle | None = None
     for half_cycle in half_cycles:
-        is_new = previous is not None and (
-            bool(half_cycle.flags & HalfCycleFlag.START) or _is_pushed(previous, half_cycle)
-        )
-        if not decays or is_new:
-            decays.append([])
-            previous = None
+        if previous is not None:
+            growth = half_cycle.amplitude - previous.amplitude
+            is_pushed = (
+                not half_cycle.flags
+                and half_cycle.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
+                and growth > _MIN_PUSHED_U * hypot(half_cycle.u_amplitude, previous.u_amplitude)
+            )
+            if is_pushed or half_cycle.flags & HalfCycleFlag.START:
+                decays.append([])
+                previous = None
         decays[-1].append(half_cycle)
-        if not half_cycle.flags:
-            previous = half_cycle
+        previous = previous if half_cycle.flags else half_cycle
     return decays
-
-
-def _is_pushed(previous: HalfCycle, half_cycle: HalfCycle) -> bool:
-    """Whether an unflagged half-cycle is clearly larger than the previous unflagged one."""
-    growth = half_cycle.amplitude - previous.amplitude
-    return (
-        not half_cycle.flags
-        and half_cycle.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
-        and growth > _MIN_PUSHED_U * hypot(half_cycle.u_amplitude, previous.u_amplitude)
-    )

@@ -180,21 +180,11 @@ def follow_plane(
 ) -> FollowedPlane:
     """Turn half-cycles and deflections into the plane of swing, where that changes anything.
 
-    Parameters
-    ----------
-    swings, deflections
-        Half-cycles as detected in the deflections, which pass once, or three times if they are turned.
-    axes
-        The pendulum's axes, in which the deflections are; None: they are at a right angle.
-    along_line
-        Whether to turn onto the line of the motion itself. Otherwise the axes count as calibrated at the
-        beginning of the decay.
-    balances
-        Balances of the whole decay along axes at a right angle; None: they are made of the deflections.
-
-    Notes
-    -----
-    A rotation that does not matter (`FollowedPlane.matters`) is neglected.
+    Half-cycles are as detected in the deflections, which pass once, or three times if they are turned. `axes`
+    are the pendulum's, in which the deflections are; None: they are at a right angle. With `along_line` the
+    decay is turned onto the line of the motion itself, else the axes count as calibrated at its beginning.
+    `balances` are those of the whole decay along axes at a right angle; None: they are made of the
+    deflections. A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
     axes = axes or _ORTHOGONAL_AXES
     unflagged = [h for h in half_cycles if not h.flags]

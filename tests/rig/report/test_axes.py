@@ -1,6 +1,5 @@
 """Axes of figures follow from what is drawn, and no label is cut; the numbers in pictures of the ground."""
 
-import io
 from dataclasses import replace
 from threading import Event, Thread
 
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from processing.swing import TurningPoints
 from rig.analysis import Curves, ModelCurve
-from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
+from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_laws import decay_figure, loss_figure, period_figure, residual_figure
 from rig.report.paper_simulation import PAIRS
 from rig.report.source import DisplayUnit
@@ -121,14 +120,3 @@ def test_threads_that_draw_at_once_leave_no_style_behind() -> None:
     leave.set()
     other.join()
     assert dict(mpl.rcParams) == before
-
-
-def test_a_drawing_is_half_as_long_as_it_was_drawn_and_shows_the_same() -> None:
-    random = np.random.default_rng(3)
-    drawn = Figure(figsize=(6.0, 3.0))
-    drawn.subplots().plot(random.random(500), random.random(500), "o", random.random(300), color="#0072b2")
-    raw, shown = io.BytesIO(), svg(ReportFigure("marks", "Marks", "Two lines.", drawn))
-    with styled():
-        drawn.savefig(raw, format="svg")
-    assert len(shown) < 0.55 * len(raw.getvalue())
-    assert shown.count(b"<use") == raw.getvalue().count(b"<use")
