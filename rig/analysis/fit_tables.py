@@ -1,26 +1,25 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from math import isnan
 from typing import Final
 
 from processing.contact.laws import DEFAULT_LAW
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import Estimate
 from processing.fit import FitMethod, FitQuality
 from processing.instruments import Check
 from processing.quantity import InstrumentQuantities, quantities_of
 from rig.analysis.decay_values import INSTRUMENT, InstrumentSeries
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row
-from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
+from rig.analysis.results import ComparedLaws, RunResults, SessionResults
 from rig.analysis.run_remarks import limits_of, main_sources
 from rig.terminal import Table, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u."""
-    others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
-    by_others = {(row.fit, row.quantity): Estimate(*row) for row in run.table if row.fit in others}
+    asymptotic = {row.quantity: row for row in run.table if row.fit == FitMethod.ASYMPTOTIC}
     main_names = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
     for row in run.contact:
@@ -28,12 +27,17 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
             continue
         texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
-            u_half_cycles = row.u * row.shown.factor
+            u_half_cycles, other = row.u * row.shown.factor, asymptotic.get(row.quantity)
             texts.append(plain(u_half_cycles, 2) if u_half_cycles > 0 else "")
-            estimates = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
-            texts += ["" if isnan(estimate.value) else row.shown.text(*estimate) for estimate in estimates]
+            texts.append("" if other is None or isnan(other.value) else other.text)
         lines.append([*texts, main_sources(row, run.budget)])
-    head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
+    head = [
+        "",
+        "value",
+        "unit",
+        *(["u of the swings", FitMethod.ASYMPTOTIC.heading] if full else []),
+        _SOURCES,
+    ]
     if not any(line[-1] for line in lines):
         head, lines = head[:-1], [line[:-1] for line in lines]
     title = "Parameters of the contact, exact fit"
@@ -77,8 +81,7 @@ def quality_table(run: RunResults) -> Table:
     The period is that of the table of results, whose uncertainty contains the clock's and the change of the
     period; it is the same for every fit.
     """
-    fits = run.fits
-    methods = _in_order(fits)
+    fits, methods = run.fits, [method for method in FitMethod if method in run.fits]
     lines = []
     if (period := run.rows.get(_PERIOD)) is not None:
         lines.append([period.shown.name, *[period.text] * len(methods), period.shown.unit])
@@ -90,19 +93,9 @@ def quality_table(run: RunResults) -> Table:
         numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
         lines.append([form.name, *numbers, form.unit])
     lines.append(["outlying half-cycles", *(_list_text(fits[method].outliers) for method in methods), ""])
-    head = ("", *map(_heading, methods), "unit")
+    head = ("", *(method.heading for method in methods), "unit")
     note = "" if period is None else _PERIOD_NOTE
     return Table("quality", "Quality of the fits", head, lines, note)
-
-
-def _in_order(fits: Mapping[str, Fit]) -> list[str]:
-    known = [method.value for method in FitMethod if method in fits]
-    return [*known, *(name for name in fits if name not in known)]
-
-
-def _heading(name: str) -> str:
-    """Heading of a fit's column; a file may hold fits that have no `FitMethod`."""
-    return {method.value: method.heading for method in FitMethod}.get(name, name)
 
 
 def _list_text(items: Sequence[int]) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.digest import cached_sha256, utc
-from processing.arrays import Floats, Ints
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import MIN_TURNING_POINTS, summarise_decay
@@ -114,7 +113,10 @@ def analyse_trajectory(
             f"{remedy}"
         )
     judge_time_unit(path, trajectory, usable)
-    both = _both_deflections(trajectory.times_ns, across, along, scatter)
+    both = slow_deflections(trajectory.times_ns, along, scatter.u_deflection)
+    if np.isfinite(across).any():
+        u_across = max(scatter.noise, estimate_noise(trajectory.times_ns, across))
+        both = replace(both, x=across, u_x=np.full(len(across), u_across))
     runs = tuple(
         _analyse(path, decay, trajectory, both, scatter, config, laws, seismometer) for decay in usable
     )
@@ -242,15 +244,6 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     slow = replace(both, y=both.y - ratio * both.x, u_y=np.hypot(both.u_y, ratio * both.u_x))
     passing = PassingDeflections([slow], DeflectionUnit.RAD)
     return replace(followed, half_cycles=half_cycles_of_blocks(passing), deflections=passing)
-
-
-def _both_deflections(times_ns: Ints, x: Floats, y: Floats, scatter: SampleScatter) -> Deflections:
-    """Deflections along the motion, y, and across it, x; NaN across for a table with one position."""
-    samples = slow_deflections(times_ns, y, scatter.u_deflection)
-    if not np.isfinite(x).any():
-        return samples
-    u_x = np.full(len(x), max(scatter.noise, estimate_noise(times_ns, x)))
-    return replace(samples, x=x, u_x=u_x)
 
 
 def _exact_scale_notes(config: Configuration) -> list[str]:

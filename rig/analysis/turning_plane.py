@@ -101,11 +101,9 @@ class FollowedPlane:
         return plane.direction_rad(times_ns) if self.along_line else plane.turned_rad(times_ns)
 
     def _errors(self, plane: PlaneOfSwing, times_ns: Ints, amplitude: Floats) -> Floats:
-        """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or the axes.
-
-        An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where
-        the angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
-        """
+        """Errors of amplitudes (n, terms), each by one u of the plane's curve or of the axes."""
+        # an angle wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it; where the
+        # angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta)
         u_curve = plane.u_direction_rad(times_ns) if self.along_line else plane.u_turned_rad(times_ns)
         half_u = 0.5 * np.linalg.norm(u_curve, axis=1)
         angle = self.angle_rad(plane, times_ns)

@@ -256,11 +256,8 @@ def _median_and_u(posterior: SeriesPosterior, draws: Floats) -> Estimate:
 
 
 def _energy(posterior: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Floats | None:
-    """Draws of the surface energy (Table 2's form); None if no run has a budget of it.
-
-    It is c times a factor of the apparatus. Inputs that runs share have their draws of the posterior; inputs
-    that move no fitted parameter get new draws. Each input enters once, however many runs there are.
-    """
+    """Draws of the surface energy (Table 2's form); None if no run has a budget of it."""
+    # c times a factor of the apparatus, whose inputs enter once, however many runs there are
     ratios: list[float] = []
     shifts: dict[str, float] = {}
     for run in runs:
@@ -279,6 +276,7 @@ def _energy(posterior: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -
     rng = np.random.default_rng(_SEED)
     log_energy = np.full(len(c), float(np.mean(np.log(ratios))))
     for source, shift in shifts.items():
+        # an input that moves no fitted parameter is not part of the posterior
         level = LatentNumber("shared", source)
         draws = posterior.draws(level) if level in posterior.levels else rng.standard_normal(len(c))
         log_energy += draws * (shift / len(ratios))
@@ -363,11 +361,9 @@ def _warnings(posterior: SeriesPosterior, without_priors: SeriesPosterior) -> li
 
 
 def _budget(posterior: SeriesPosterior, name: str, contact: str) -> dict[str, float]:
-    """Shares of the variance of a contact's level of a coordinate by source, largest first.
-
-    The part of a shared input or an effect is the variance that would vanish if it were known. The rest
-    belongs to the runs: their own uncertainties and their scatter, which more runs reduce.
-    """
+    """Shares of the variance of a contact's level of a coordinate by source, largest first."""
+    # the part of a shared input or an effect would vanish if it were known; the rest, by the runs' own
+    # uncertainties and their scatter, falls with their number
     draws = posterior.level_draws(contact)[:, posterior.model.names.index(name)]
     centred = draws - posterior.weight @ draws
     rest = float(posterior.weight @ centred**2)

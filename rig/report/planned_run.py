@@ -124,11 +124,9 @@ def _fitted_runs(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, 
 
 
 def _planned_contact(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions) -> PlannedContact:
-    """The values of a fit, with the drag if it was fitted, and which of them are not well determined.
-
-    The drag never counts as unknown, because a plan does not depend on its value.
-    """
+    """The values of a fit, with the drag if it was fitted, and which of them are not well determined."""
     known = {name: fit.parameters[name] for name in DEFAULT_LAW.names(drag=True) if name in fit.parameters}
+    # a plan does not depend on the value of the drag, which therefore never counts as unknown
     unknown = tuple(
         name
         for name, (value, u) in known.items()
@@ -189,17 +187,14 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
 def _half_cycle_uncertainties(
     config: Configuration, noise_rad: float
 ) -> tuple[float, float, NDArray[np.float64] | None]:
-    """Uncertainties of amplitude (rad) and time (s) of the half-cycles detected with this noise of a frame.
-
-    Also returns the covariance of the harmonics in quadrature. With the simulated rig its air and wander of
-    the beam distort the swing.
-    """
+    """Uncertainties of amplitude (rad) and time (s) of half-cycles; covariance of harmonics in quadrature."""
     rate_hz, period_s = _frame_rate_hz(config), config.simulation.contact.period0_s
     time_s = np.arange(0.0, 0.5 * _HALF_CYCLES * period_s, 1 / rate_hz)
     swing_rad = _AMPLITUDE_RAD * np.cos(2 * np.pi * time_s / period_s)
     rng = np.random.default_rng(2)
     swing_rad += noise_rad * rng.standard_normal(len(time_s))
     if config.simulated:
+        # its air and the wander of its beam distort the swing
         frequency_hz = np.asarray(np.fft.rfftfreq(len(time_s), 1 / rate_hz)[1:], dtype=np.float64)
         size = np.sqrt(0.25 * len(time_s) * rate_hz * _slow_density(config, frequency_hz))
         waves = size * (rng.standard_normal((2, len(frequency_hz))).T @ [1, 1j])
@@ -227,10 +222,8 @@ def _slow_density(config: Configuration, frequency_hz: NDArray[np.float64]) -> N
         disturbances.air_to_hz / disturbances.air_from_hz
     )
     walk_rad = disturbances.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
-    air, walk = (
-        np.where(is_inside, air_rad2 / frequency_hz, 0.0),
-        2 * walk_rad**2 / (2 * math.pi * frequency_hz) ** 2,
-    )
+    air = np.where(is_inside, air_rad2 / frequency_hz, 0.0)
+    walk = 2 * walk_rad**2 / (2 * math.pi * frequency_hz) ** 2
     shared, noise = _reference_share_and_noise(config)
     common = shared * air + (walk if shared else 0.0)
     # a Wiener filter leaves roughly the smaller of motion and noise
@@ -239,10 +232,7 @@ def _slow_density(config: Configuration, frequency_hz: NDArray[np.float64]) -> N
 
 
 def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
-    """Fraction of the air's power that both spots share, and noise density of the reference in rad^2/Hz.
-
-    The fraction is 0 without a reference, and if the simulated rig has none.
-    """
+    """Fraction of the air's power that both spots share, and noise density of the reference in rad^2/Hz."""
     truth, reference = config.simulation.reference, config.reference
     if reference is None or not truth.relative > 0:
         return 0.0, math.inf
@@ -253,14 +243,11 @@ def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
 
 
 def _seismometer_noise(config: Configuration) -> float | None:
-    """Noise of the auxiliary seismometer over the ground at the pendulum's frequency; None without one.
-
-    If no noise is stated, it is the difference of two real instruments at one place (`--seismometer` states
-    another).
-    """
+    """Noise of the auxiliary seismometer over the ground at the pendulum's frequency; None without one."""
     kind = config.seismometer.kind
     if kind == "none":
         return None
+    # where no noise is stated, the difference of two real instruments at one place
     noise = config.simulation.seismometer.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
     level = _ground_level(config)
     return max(LEAST_UNEXPLAINED, noise / level) if level > 0 else LEAST_UNEXPLAINED
@@ -273,11 +260,9 @@ def _ground_level(config: Configuration) -> float:
     if truth.model == "white":
         return truth.white_m_per_s2_per_sqrt_hz
     if truth.model == "peterson":
-        above_db = (
-            truth.between_noise_models * (high_db - low_db)
-            if truth.above_low_noise_db is None
-            else truth.above_low_noise_db
-        )
+        above_db = truth.above_low_noise_db
+        if above_db is None:
+            above_db = truth.between_noise_models * (high_db - low_db)
         return float(density_of_db(np.array([low_db + above_db]))[0])
     return 0.0
 

@@ -328,13 +328,6 @@ def test_the_mean_period_is_one_number_everywhere() -> None:
     assert shown == ["mean period of the run", period.text, "s"]
 
 
-def test_a_fit_that_only_one_method_made_has_empty_cells_for_the_other() -> None:
-    fits = {"exact": _RUN.fits["exact"], "another": Fit(parameters={"p": Estimate(0.9, 0.01)})}
-    table = parameter_table(replace(_RUN, fits=fits))
-    assert table.head[-1] == "another"
-    assert {row[0]: row[-1] for row in table.shown}["b"] == ""
-
-
 def test_a_run_without_half_cycles_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     run = RunResults(record="run-1.mcap", frames=99, amplitude_unit="arcsec", problem="too few half-cycles")
     print_results(SessionResults(runs=(run,)), [])
