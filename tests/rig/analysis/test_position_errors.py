@@ -24,7 +24,6 @@ from rig.analysis.ambient import FREE_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections, _spots, deflection_change
 from rig.analysis.results_file import read_results, write_results
 from rig.instrument import optics_of
-from rig.report.drawing import svg
 from rig.report.figures_motion import position_error_figure
 from rig.settings import FitSettings, load_configuration
 from tests.processing.fit.decays import paper_pair
@@ -43,11 +42,8 @@ def refined_over_fringes() -> tuple[Run, PassingDeflections, Refinement]:
     """A run over fringes, its deflections, and what is made of them."""
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
-    return (
-        one,
-        passing,
-        refined_half_cycles(one.half_cycles, passing, DeflectionUnit.RAD, one.pendulum, FitSettings()),
-    )
+    refined = refined_half_cycles(one.half_cycles, passing, passing.unit, one.pendulum, FitSettings())
+    return one, passing, refined
 
 
 @pytest.mark.slow
@@ -75,7 +71,6 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     assert np.array_equal(again.position_errors.error, errors.error)
     (axes,) = position_error_figure(errors).figure.axes
     assert np.allclose(axes.lines[1].get_ydata(), errors.error / ARCSEC_RAD)
-    assert svg(position_error_figure(errors)).startswith(b"<?xml")
 
 
 @pytest.mark.slow

@@ -61,16 +61,13 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
     assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
 
 
-@pytest.mark.parametrize(("low", "high"), [(101.0, 140.0), (2.0, 124.0), (0.4, 1.3), (900.0, 30_000.0)])
-def test_an_axis_of_amplitudes_has_marks(low: float, high: float) -> None:
-    axes = canvas(2.0).subplots()
-    amplitude_axis(axes, low, high)
-    start, end = axes.get_xlim()
-    assert start <= low < high <= end
-    assert sum(start <= tick <= end for tick in axes.get_xticks()) >= 3
-
-
-def test_limits_begin_at_zero_where_values_come_near_it() -> None:
+def test_an_axis_of_amplitudes_has_marks_and_limits_begin_at_zero_where_values_come_near_it() -> None:
+    for low, high in ((101.0, 140.0), (2.0, 124.0), (0.4, 1.3), (900.0, 30_000.0)):
+        axes = canvas(2.0).subplots()
+        amplitude_axis(axes, low, high)
+        start, end = axes.get_xlim()
+        assert start <= low < high <= end
+        assert sum(start <= tick <= end for tick in axes.get_xticks()) >= 3
     assert nonnegative_limits(np.array([2.0, 124.0]))[0] == 0.0
     assert nonnegative_limits(np.array([101.0, 140.0]))[0] == pytest.approx(101.0, abs=1.0)
     assert nonnegative_limits(np.array([np.nan])) == (0.0, 1.0)

@@ -9,7 +9,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
-from rig.analysis import AnalysedRun, SessionResults, read_results
+from rig.analysis import AnalysedRun, read_results
 from rig.commands.reporting import plan
 from rig.instrument import complete, recorded_configuration
 from rig.report import (
@@ -41,6 +41,8 @@ def test_a_run_is_planned_from_a_record(
     assert longer["duration_s"] > shorter["duration_s"]
     assert longer["half_cycles"] > shorter["half_cycles"]
     assert longer["u_b"] < shorter["u_b"]
+    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
+        plan(measured_series / "run-1.mcap", [10.0], [60.0])
 
 
 def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
@@ -56,18 +58,11 @@ def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     assert "NOT RELIABLE" not in plan_table(air).note
 
 
-def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
-    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
-        plan(measured_series / "run-1.mcap", [10.0], [60.0])
-
-
 def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
     """Frames of the simulated rig, followed and detected, scatter as a plan of its configuration expects."""
     with RecordReader(measured_series / "run-1.mcap") as reader:
         conditions = planned_contact(recorded_configuration(reader)).conditions
-    results = read_results(measured_series / "results.json")
-    assert isinstance(results, SessionResults)
-    points = results.runs[0].points
+    points = read_results(measured_series).runs[0].points
     u_rad, u_s_rad = np.median(points.u_amplitude), np.median(points.u_time_s * points.amplitude)
     assert conditions.u_amplitude_rad == pytest.approx(u_rad, rel=0.1)
     assert conditions.u_time_amplitude_s_rad == pytest.approx(u_s_rad, rel=0.1)
