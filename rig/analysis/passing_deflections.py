@@ -32,31 +32,16 @@ _MAX_FRAMES_IN_MEMORY = 300_000
 class PassingDeflections:
     """The deflections of a run, in order, some thousand frames at a time.
 
-    A short run stays in memory, and is not read again for a second pass. Of a long run only the coordinates
-    of the frames that have passed stay, 16 bytes a frame: a day's deflections with their times and
-    uncertainties would be several hundred megabytes.
-
-    Parameters
-    ----------
-    blocks
-        Consecutive frames; an iterable that can be iterated again, for further passes of a long run.
-    unit
-        Unit of every block.
-
-    Attributes
-    ----------
-    frames, lost_spots
-        Number of frames in the first pass, and of those without a spot.
-    first_ns, last_ns
-        Times of the first and of the last of these frames; 0 where there are none.
+    `blocks` are consecutive frames in `unit`; for further passes of a long run they are iterated again. A
+    short run stays in memory. Of a long one only the coordinates stay, 16 bytes a frame: a day's deflections
+    with their times and uncertainties would be several hundred megabytes. `frames` is the number of frames in
+    the first pass, `lost_spots` that of those without a spot, `first_ns` and `last_ns` are the times of the
+    first and of the last; 0 where there are none.
     """
 
     def __init__(self, blocks: Iterable[Deflections], unit: DeflectionUnit) -> None:
         self.unit = unit
-        self.frames = 0
-        self.lost_spots = 0
-        self.first_ns = 0
-        self.last_ns = 0
+        self.frames = self.lost_spots = self.first_ns = self.last_ns = 0
         self._source = blocks
         self._first_pass = filter(len, blocks)
         self._has_passed = False

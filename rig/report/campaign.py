@@ -320,7 +320,7 @@ def _names(labels: Sequence[str]) -> str:
 def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
     """Warnings of covariates that some runs lack or seem to have in another unit."""
     texts: list[str] = []
-    for covariate in sorted(stated.covariates - {"", ORDER}):
+    for covariate in sorted({effect.covariate for effect in stated.effect} - {"", ORDER}):
         known = {run.label: run.covariates[covariate] for run in runs if covariate in run.covariates}
         texts += filter(None, [other_unit_warning(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]

@@ -12,7 +12,7 @@ from processing.swing import TurningPoints
 from rig.analysis import Curves, ModelCurve
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_laws import decay_figure, loss_figure, period_figure, residual_figure
-from rig.report.paper_simulation import PAIRS
+from rig.report.paper import PAIRS
 from rig.report.source import DisplayUnit
 
 ARCSEC = np.pi / 648000
