@@ -274,7 +274,7 @@ _RUN = RunResults(
 def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_where_asked(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, verbose: bool
 ) -> None:
-    caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.screen")
+    caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.fit_tables")
     met = Verdict("lost spots", ok=True, measured="0 %", limit="1 %")
     wished = Verdict("beam", ok=True, reason="it is wide", remedy="focus it", measured="9 px", limit="12 px")
     failed = Verdict("end", ok=False, reason="it was cut", remedy="measure again", measured="", limit="whole")
