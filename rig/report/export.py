@@ -315,7 +315,7 @@ def _write_rig(entry: Any, provenance: Mapping[str, str]) -> None:
         sample["description"] = provenance["session.contact_history"]
     if "environment.temperature_c" in provenance:
         sample["temperature"] = float(provenance["environment.temperature_c"])
-        sample["temperature"].attrs["units"] = "degC"
+        _set_unit(sample["temperature"], "°C")
     _group(entry, "user", "NXuser")["name"] = provenance.get("session.operator", "not stated")
 
 
