@@ -314,27 +314,11 @@ def test_an_update_that_is_killed_costs_an_update(sessions: Path, archive: Path)
     assert "6 unchanged" in update_archive(archive)
 
 
-ADDS = """
-import os, sys
-from pathlib import Path
-from rig.archive import add_folders
-archive, *folders = map(Path, sys.argv[1:])
-adding = []
-for folder in folders:
-    adding.append(os.fork())
-    if not adding[-1]:
-        add_folders(archive, [folder])
-        os._exit(0)
-sys.exit(max(os.waitpid(process, 0)[1] for process in adding))
-"""
-"""Adds each folder to an archive in a process of its own, all at once."""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="forks")
 def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive.duckdb"
-    words = [sys.executable, "-c", ADDS, str(archive), str(sessions / "series"), str(sessions / "deeper")]
-    subprocess.run(words, cwd=ROOT, check=True)
+    words = [sys.executable, "-m", "rig", "archive", "add", "--archive", archive]
+    adding = [subprocess.Popen([*words, sessions / name], cwd=ROOT) for name in ("series", "deeper")]
+    assert [process.wait(60) for process in adding] == [0, 0]
     assert len(rows(archive)) == 3
     assert update_archive(archive).startswith("0 sessions read (0 runs), 2 unchanged")
 
