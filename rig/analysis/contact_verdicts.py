@@ -220,12 +220,11 @@ def _adhesion(
 
 def _work_amplitudes_arcsec(points: TurningPoints) -> Sequence[float]:
     """Amplitudes of the work in arcsec: that of Table 4, or the nearest measured, and the first."""
-    first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
-    nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
-    if nearest == first:
-        return (first / ARCSEC_RAD,)
-    # not by way of rad, so that 3.1 stays 3.1
-    return (max(TABLE4_AMPLITUDE_ARCSEC, last / ARCSEC_RAD), float(points.amplitude[0]) / ARCSEC_RAD)
+    amplitude_arcsec = points.amplitude / ARCSEC_RAD
+    largest, smallest = float(amplitude_arcsec.max()), float(amplitude_arcsec.min())
+    if largest <= max(TABLE4_AMPLITUDE_ARCSEC, smallest):
+        return (largest,)
+    return (max(TABLE4_AMPLITUDE_ARCSEC, smallest), float(amplitude_arcsec[0]))
 
 
 def _work(
@@ -243,13 +242,13 @@ def _work(
     work = works_per_cycle_j(amplitude_rad, parameters, np.array(weight_moment(pendulum)))
     u = dict.fromkeys(work, math.nan)
     if rig is not None and contact is not None:
-        fit, apparatus = contact, rig
-
-        def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(fit, inputs, apparatus)
-            return works_per_cycle_j(amplitude_rad, reported, rolling_moment_nm(inputs, apparatus))
-
-        u = standard_uncertainties(contact, rig, works)
+        u = standard_uncertainties(
+            contact,
+            rig,
+            lambda inputs: works_per_cycle_j(
+                amplitude_rad, reported_quantities(contact, inputs, rig), rolling_moment_nm(inputs, rig)
+            ),
+        )
     return Work(
         amplitude_arcsec,
         Estimate(float(work["dissipated"]), u["dissipated"]),

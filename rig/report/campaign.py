@@ -289,6 +289,10 @@ def _runs(
     values, u_values = posterior.run_values(reference_rad)
     names, runs = posterior.model.names, []
     for row, (candidate, run) in enumerate(members):
+        numbers = zip(values[row].tolist(), u_values[row].tolist(), strict=True)
+        together = dict(zip(names, (Estimate(value, u) for value, u in numbers), strict=True))
+        bounded = [name for name in names if _bounded_side(posterior, run.contact, name) is not None]
+        residuals = dict(zip(names, posterior.residuals[row].tolist(), strict=True))
         runs.append(
             CampaignRun(
                 label=run.label,
@@ -296,17 +300,8 @@ def _runs(
                 record=candidate.run.record,
                 sha256=candidate.run.sha256,
                 results_sha256=candidate.results_sha256,
-                together={
-                    name: Estimate(float(values[row, column]), float(u_values[row, column]))
-                    if _bounded_side(posterior, run.contact, name) is None
-                    else NOT_DETERMINED
-                    for column, name in enumerate(names)
-                },
-                residuals={
-                    name: float(posterior.residuals[row, column])
-                    for column, name in enumerate(names)
-                    if name in run.names
-                },
+                together=together | dict.fromkeys(bounded, NOT_DETERMINED),
+                residuals={name: residual for name, residual in residuals.items() if name in run.names},
                 bad=float(posterior.bad[row]),
             )
         )

@@ -124,8 +124,7 @@ def _exported_series(
         provenance["session.sample"] = sample
     for index, (_, run_results) in enumerate(runs):
         provenance[f"runs.{index}"] = f"{run_results.record}, SHA-256 {run_results.sha256}"
-    simulated = sum(bool(run_results.simulated) for _, run_results in runs)
-    if simulated:
+    if simulated := sum(bool(run_results.simulated) for _, run_results in runs):
         provenance["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
     return ExportData("series", series, provenance, notes)

@@ -30,8 +30,6 @@ from rig.analysis import (
 from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure
-from rig.report.figures_contact import instrument_figures
-from rig.report.figures_motion import damped_figure, position_error_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
 from rig.terminal import latex_rows, plain, quantity, translated_file_errors
@@ -96,14 +94,11 @@ def _series(source: ReportSource, series: Series, folder: Path) -> list[str]:
         sentences += series.instrument.lines
     if not (tables or sentences):
         return []
-    body = [html.heading("Series")]
-    if tables:
-        body.append(html.table(tables[0]))
-    body.append(html.remark_list(sentences))
+    first, others = [html.table(table) for table in tables[:1]], [html.table(table) for table in tables[1:]]
     drawings = html.save_figures(
         folder, lambda: [figures_contact.series_figure(series)] if series.fits else []
     )
-    return [*body, *drawings.values(), *(html.table(table) for table in tables[1:])]
+    return [html.heading("Series"), *first, html.remark_list(sentences), *drawings.values(), *others]
 
 
 _ORDER = (
@@ -148,16 +143,15 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     fit = run.results.fits.get(FitMethod.EXACT)
     # for the length of the detail views
     period_s = mean_period(points) if len(points) > 1 else _DEFAULT_PERIOD_S
-    period_s = period_s if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
         drawings += figures_motion.motion_figures(motion, period_s)
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and len(points) and not run.results.fits:
-        drawings.append(damped_figure(run.results, motion.unit))
+        drawings.append(figures_motion.damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
-        drawings.append(position_error_figure(run.results.position_errors))
+        drawings.append(figures_motion.position_error_figure(run.results.position_errors))
     if run.results.instrument is not None or run.is_table:
         # numbers of the paper's figures mean nothing for other pendulums
         drawings = [
@@ -165,7 +159,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             for figure in drawings
         ]
     if run.results.instrument is not None:
-        drawings += instrument_figures(run.results, points)
+        drawings += figures_contact.instrument_figures(run.results, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum
