@@ -1,8 +1,8 @@
 """Half-cycles once the motion is known: less errors of position, and from few and noisy samples."""
 
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -157,28 +157,18 @@ def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
     assert not row_delay(refined.harmonics, parameters.period0_s).seen
 
 
-class _Record:
-    """Three blocks of ten frames, the second one empty, and how often they were asked for."""
-
-    def __init__(self) -> None:
-        self.asked = 0
-
-    def __iter__(self) -> Iterator[Deflections]:
-        self.asked += 1
-        for first, count in ((0, 10), (10, 0), (10, 10)):
-            times_ns = np.arange(first, first + count, dtype=np.int64)
-            yield slow_deflections(times_ns, np.zeros(count), 1e-9)
-
-
 @pytest.mark.parametrize(("short", "asked"), [(20, 1), (19, 3)])
 def test_every_pass_has_the_same_frames(short: int, asked: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three blocks of ten frames, the second one empty."""
     monkeypatch.setattr(passing_deflections, "_MAX_FRAMES_IN_MEMORY", short)
-    record = _Record()
+    every = slow_deflections(np.arange(20, dtype=np.int64), np.zeros(20), 1e-9)
+    record = MagicMock()
+    record.__iter__.side_effect = lambda: iter([every[:10], every[10:10], every[10:]])
     passing = PassingDeflections(record, DeflectionUnit.RAD)
     for _ in range(3):
         assert joined(passing, passing.unit).times_ns.tolist() == list(range(20))
     assert passing.frames == 20
-    assert record.asked == asked
+    assert record.__iter__.call_count == asked
 
 
 def test_changed_deflections_are_those_of_spots_that_were_there_from_the_start() -> None:
