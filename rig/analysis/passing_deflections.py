@@ -157,13 +157,12 @@ def without_beam_motion(reader: RecordReader, config: Configuration) -> Deflecti
 
 def _reference_note(by_axis: Mapping[str, CorrectedPositions], *, is_stated: bool) -> str:
     """Verdict on the reference spot, in one line, with the gain unless the configuration states it."""
-    lost = int(np.count_nonzero(next(iter(by_axis.values())).fallen_back))
+    lost = int(np.count_nonzero(by_axis["x_px"].fallen_back))
     texts = []
     for name, positions in by_axis.items():
-        gain = positions.gain
-        has_own_gain = not is_stated and np.isfinite(gain.value)
-        own_gain = f" with a gain of {with_uncertainty(*gain)} from the run itself" if has_own_gain else ""
-        texts.append(f"{name[0]} {positions.verdict}{own_gain}")
+        has_own_gain = not is_stated and np.isfinite(positions.gain.value)
+        gain = f" with a gain of {with_uncertainty(*positions.gain)} from the run itself"
+        texts.append(f"{name[0]} {positions.verdict}{gain if has_own_gain else ''}")
     unchanged = f"; {lost} frames without it are unchanged" if lost else ""
     return f"reference spot: {', '.join(texts)}{unchanged}"
 
@@ -261,14 +260,9 @@ def _track_again(
     sensor = sensor_model(config, reader.full_scale_dn)
     full = steps * int(sensor.full_scale_dn)
     subtracted = np.rint(steps * light.subtracted_dn).astype(np.int64)
-    tracker = SpotTracker(
-        replace(
-            sensor,
-            gain_e_per_dn=sensor.gain_e_per_dn / steps,
-            full_scale_dn=full,
-            pedestal_dn=sensor.pedestal_dn * steps,
-        )
-    )
+    gain, pedestal_dn = sensor.gain_e_per_dn / steps, steps * sensor.pedestal_dn
+    fine = replace(sensor, gain_e_per_dn=gain, full_scale_dn=full, pedestal_dn=pedestal_dn)
+    tracker = SpotTracker(fine)
     chosen, spots = set(sequences.tolist()), {}
     for window in reader.windows():
         if window.sequence not in chosen:

@@ -102,10 +102,8 @@ def analyse_trajectory(
     if not usable:
         judge_time_unit(path, trajectory)
         count = max((len(turning_points(decay)) for decay in decays), default=0)
-        remedy = trajectory.remedy or (
-            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
-            "--position choose others"
-        )
+        columns = f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}"
+        remedy = trajectory.remedy or f"{columns}; --time and --position choose others"
         raise DataError(
             f"{path}: {count} usable half-cycle{'' if count == 1 else 's'} ({len(half_cycles) - count} more "
             f"are flagged or of other decays), at least {MIN_TURNING_POINTS} are needed: the samples hold no "
@@ -248,17 +246,13 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
 
 def _exact_scale_notes(config: Configuration) -> list[str]:
     """Notes on the scales of angles and of times that a table's budget takes as exact."""
-    lines = []
-    if config.lever is None:
-        lines.append(
-            "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale"
-        )
-    if config.timebase is None or config.timebase.u_camera_rate == 0:
-        lines.append(
-            "the budget takes the table's times as exact; [timebase] u_camera_rate states the relative u of "
-            "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
-        )
-    return lines
+    angles = "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale"
+    times = (
+        "the budget takes the table's times as exact; [timebase] u_camera_rate states the relative u of "
+        "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
+    )
+    has_exact_times = config.timebase is None or config.timebase.u_camera_rate == 0
+    return [*([angles] if config.lever is None else []), *([times] if has_exact_times else [])]
 
 
 def separate_decays(half_cycles: Sequence[HalfCycle]) -> list[list[HalfCycle]]:

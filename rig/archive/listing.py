@@ -232,9 +232,25 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
 
 
 def hash_condition(archive: Path, names: Sequence[str]) -> str:
-    """SQL condition for runs named by the first characters of their SHA-256; without names, for all runs."""
-    runs = (f"'{run}'" for name in names for run in _hashes_of(archive, name))
-    return f"sha256 in ({', '.join(runs)})" if names else "true"
+    """SQL condition for runs named by the first characters of their, or their session's, SHA-256.
+
+    It is that for all runs without names. Raises ConfigurationError for a name that fits none or several.
+    """
+    hashes = list[str]()
+    for name in names:
+        if not re.fullmatch("[0-9a-f]{4,64}", name):
+            raise ConfigurationError(
+                f"{name}: names no run; take 4 or more characters of list's first column"
+            )
+        where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}')"
+        _, runs = query_runs(archive, "sha256, session", where)
+        if not runs:
+            raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
+        is_one_session = len({session for _, session in runs}) == 1 and runs[0][1].startswith(name)
+        if len(runs) > 1 and not is_one_session:
+            raise ConfigurationError(f"{name}: {len(runs)} runs begin so; give more characters")
+        hashes += [f"'{sha256}'" for sha256, _ in runs]
+    return f"sha256 in ({', '.join(hashes)})" if names else "true"
 
 
 def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
@@ -299,20 +315,6 @@ def query_runs(
         return list(result.columns), result.fetchall()
 
 
-def _hashes_of(archive: Path, name: str) -> list[str]:
-    """The SHA-256 of the run, or of the runs of the one session, whose hash begins with a name."""
-    if not re.fullmatch("[0-9a-f]{4,64}", name):
-        raise ConfigurationError(f"{name}: names no run; take 4 or more characters of list's first column")
-    where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}')"
-    _, runs = query_runs(archive, "sha256, session", where)
-    if not runs:
-        raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
-    is_one_session = len({session for _, session in runs}) == 1 and runs[0][1].startswith(name)
-    if len(runs) > 1 and not is_one_session:
-        raise ConfigurationError(f"{name}: {len(runs)} runs begin so; give more characters")
-    return [sha256 for sha256, _ in runs]
-
-
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]], hint: str = "") -> Table:
     """Table of runs, with a value and its total u, or its bound, in one cell; the note ends in a hint."""
     attached = {name for name in _ATTACHED_COLUMNS if _PREFIX.sub("", name, count=1) in names}
@@ -346,6 +348,6 @@ def _screen_cell(name: str, row: Mapping[str, Any]) -> str:
 
 def _csv_cell(value: Any) -> Any:
     """A value in a CSV file; an unknown value is an empty cell."""
-    if isinstance(value, datetime.datetime | datetime.date):
+    if isinstance(value, datetime.date):
         return value.isoformat()
-    return harmless_text(str(value)) if isinstance(value, str) else value
+    return harmless_text(value) if isinstance(value, str) else value
