@@ -236,7 +236,7 @@ def test_the_scale_that_places_share_is_in_their_mean_and_not_in_their_ratio(tmp
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
-        ("reference_runs = [7]", "there is no run 7, only 1, 2, 3"),
+        ("reference_runs = [7]\nreference_time_s = 250", "there is no run 7, only 1, 2, 3"),
         ("reference_runs = [1]\nstart_amplitude_deg = 8.0", "run 1 has no damping time"),
         ("", "no reference was measured"),
     ],
@@ -246,6 +246,7 @@ def test_a_ratio_that_cannot_be_had_is_said(
 ) -> None:
     table = table_of_places(("1", "2", "3"), (20.0, 12.0, 13.0))
     found = fitted(tmp_path, table, f'kind = "koenig"\n{stated}')
+    assert "ratio" not in found["series"]["instrument"]
     assert words in found["series"]["instrument"]["problem"]
     assert words in " ".join(capsys.readouterr().out.split())
 

@@ -159,6 +159,12 @@ def test_a_likelihood_is_that_of_its_results() -> None:
     found = compressed(replace(one, fits={"exact": with_drag}, budget=budget))
     at = found.names.index("drag_s")
     assert found.covariance[at, at] / found.shared["air"][at] ** 2 == pytest.approx(0.36 / 0.64)
+    # and so is what their law does not describe
+    lines = (lines[0], replace(lines[1], source="discrepancy", type="A"))
+    budget = {**one.budget, "p": Budget(value=0.944, standard_uncertainty=1e-3, sources=lines)}
+    found = compressed(replace(one, budget=budget))
+    assert found.covariance[1, 1] == pytest.approx(0.36 * likelihood.covariance[1, 1])
+    assert found.shared["discrepancy of p"][1] ** 2 == pytest.approx(0.64 * likelihood.covariance[1, 1])
 
 
 @pytest.mark.parametrize(
