@@ -16,6 +16,9 @@ from rig.analysis.fit_tables import (
     instrument_table,
     law_table,
     parameter_table,
+    print_results,
+    print_series,
+    print_table,
     quality_table,
 )
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
@@ -51,7 +54,6 @@ if TYPE_CHECKING:
     from rig.analysis.half_cycle_fits import clock_rate_of
     from rig.analysis.passing_deflections import PassingDeflections
     from rig.analysis.record_fit import analyse_record, analyse_run
-    from rig.analysis.screen import print_results, print_series, print_table
     from rig.analysis.series import AnalysedRun, fitted_series, refuse_copies, session_results
     from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
@@ -66,7 +68,6 @@ else:
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
-            "screen": "print_results print_series print_table",
             "series": "AnalysedRun fitted_series refuse_copies session_results",
             "table_fit": "AnalysedTable analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",

@@ -1,9 +1,9 @@
 """Ambient conditions of a run, the drag and drifts that follow from them, and its seismometer's record."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
-from math import isfinite, nan
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,72 +33,54 @@ _MIN_READINGS = 4
 """Fewest readings that show a change."""
 _MIN_SPAN = 0.5
 """Least part of a run that readings must span to show its change: from less it would be extrapolated."""
-HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+_HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 """Keys of [session] whose times begin the contact's history."""
 
 
-def stated_ambient(config: Configuration) -> AmbientConditions:
-    """The ambient conditions that the configuration states; NaN where it states none."""
-    stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
-    return AmbientConditions(**{name: float(value) for name, value in stated.items() if value is not None})
+def stated_ambient(config: Configuration, began: datetime | None = None) -> AmbientConditions:
+    """The ambient conditions that the configuration states; NaN where it states none.
 
-
-def table_ambient(config: Configuration, began_s: float | None) -> AmbientConditions:
-    """Stated ambient conditions, with the contact's history up to the first row of a table.
-
-    `began_s` is that row's time in s since 1970, None where the table does not have it.
+    The history of the contact is that up to `began`, the beginning of the run, if it is known.
     """
-    if began_s is None:
-        return stated_ambient(config)
-    moments = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
-    history = {name: began_s - moment.timestamp() for name, moment in moments.items() if moment}
-    return replace(stated_ambient(config), **history)
+    moments = {key: getattr(config.session, key) for key in _HISTORY_KEYS.values()}
+    return _ambient(config.environment.model_dump(exclude_none=True), moments, began)
 
 
 def recorded_ambient(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
     """Ambient conditions of a record: its readings, else those that `config` states, or itself for None."""
-    if config is None:
-        air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
-        session = reader.metadata.get("session", {})
-        moments = {
-            name: datetime.fromisoformat(session[key])
-            for name, key in HISTORY_KEYS.items()
-            if session.get(key)
-        }
+    first = next(iter(reader.messages(SPOT.topic)), None)
+    # the log time is UTC already
+    began = None if first is None else utc(first.log_time_ns)
+    if config is not None:
+        ambient = stated_ambient(config, began)
     else:
-        air = asdict(stated_ambient(config))
-        stated = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
-        moments = {name: moment for name, moment in stated.items() if moment is not None}
-    first = next(iter(reader.messages(SPOT.topic)), None) if moments else None
-    history: dict[str, float] = {}
-    if first is not None:
-        # the log time is UTC already
-        began = utc(first.log_time_ns)
-        history = {name: (began - moment).total_seconds() for name, moment in moments.items()}
-    return AmbientConditions(**_air_readings(reader, air), **history)
-
-
-def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
+        air, session = (reader.metadata.get(section, {}) for section in ("environment", "session"))
+        moments = {
+            key: datetime.fromisoformat(session[key]) for key in session.keys() & _HISTORY_KEYS.values()
+        }
+        ambient = _ambient({name: float(text) for name, text in air.items()}, moments, began)
     table = reader.table(ENVIRONMENT.topic)
-    air = {}
-    for name in _USUAL_AIR:
-        column = table[name] if len(table) else np.empty(0)
-        readings = column[np.isfinite(column)]
-        air[name] = float(np.mean(readings)) if len(readings) else stated.get(name, nan)
+    for name in _USUAL_AIR if len(table) else ():
+        is_known = np.isfinite(table[name])
+        times_ns, readings = table["time_ns"][is_known], table[name][is_known]
+        if len(readings):
+            ambient = replace(ambient, **{name: float(np.mean(readings))})
         if name == "temperature_c" and len(readings) >= _MIN_READINGS:
-            times_ns = table["time_ns"][np.isfinite(column)]
             fractions = (times_ns - times_ns[0]) / (reader.numbers.end_ns - reader.numbers.start_ns)
             if fractions[-1] >= _MIN_SPAN:
                 # less the first reading, so that equal readings give a change of exactly 0
-                air["temperature_change_k"] = float(np.polyfit(fractions, readings - readings[0], 1)[0])
-    return air
+                change_k = float(np.polyfit(fractions, readings - readings[0], 1)[0])
+                ambient = replace(ambient, temperature_change_k=change_k)
+    return ambient
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return nan
+def _ambient(
+    air: Mapping[str, float], moments: Mapping[str, datetime | None], began: datetime | None
+) -> AmbientConditions:
+    """Stated conditions, with the time from each moment of the contact's history until the run began."""
+    history = {name: moments.get(key) for name, key in _HISTORY_KEYS.items()}
+    since_s = {name: (began - moment).total_seconds() for name, moment in history.items() if began and moment}
+    return AmbientConditions(**air, **since_s)
 
 
 def ambient_warnings(ambient: AmbientConditions) -> list[str]:
@@ -111,7 +93,7 @@ def ambient_warnings(ambient: AmbientConditions) -> list[str]:
         )
     return warnings + [
         f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
-        for name, key in HISTORY_KEYS.items()
+        for name, key in _HISTORY_KEYS.items()
         if getattr(ambient, name) < 0
     ]
 
@@ -174,8 +156,7 @@ def drag_of_fit(
 
 def evidence_of(drag: FittedDrag, harmonics: PieceHarmonics | None) -> Evidence:
     """Evidence of a run's fit: the prior of the drag, and the waveform by the harmonics if there are any."""
-    waveform = None if harmonics is None else waveform_of(harmonics)
-    return Evidence(waveform, drag.prior_s)
+    return Evidence(None if harmonics is None else waveform_of(harmonics), drag.prior_s)
 
 
 _DRAG_PER_K = 2.7e-3
@@ -210,12 +191,14 @@ def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit:
     `drifts` holds the change of each contact parameter by a drift of 1, `u_drifts` their uncertainties.
     """
     notes = []
+    u_fit = [fit.estimate(parameter).standard_uncertainty for parameter in fit.contact_names]
     for source, name in _DRIFT_NAMES.items():
-        shifts = []
-        for parameter, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
-            shift = abs(slope) * u_drifts[source]
-            if shift > (u := fit.estimate(parameter).standard_uncertainty):
-                shifts.append(f"{quantity(parameter).symbol} by {shift / u:.2g} u")
+        shifts_u = np.abs(drifts[source]) * u_drifts[source] / u_fit
+        shifts = [
+            f"{quantity(parameter).symbol} by {shift_u:.2g} u"
+            for parameter, shift_u in zip(fit.contact_names, shifts_u.tolist(), strict=True)
+            if shift_u > 1
+        ]
         if shifts:
             notes.append(f"{percent(u_drifts[source])} of {name} over the run would move {', '.join(shifts)}")
     if not notes:

@@ -24,7 +24,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_model_free
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.results import ComparedLaws, Fit, LawFit, LawMoments, ModelFreeMoments, RunResults
+from rig.analysis.results import ComparedLaws, LawFit, LawMoments, ModelFreeMoments, RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
@@ -190,19 +190,27 @@ def curves_of(run: RunResults) -> Curves | None:
     pendulum, fits, points = run.pendulum, run.fits, run.points
     if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _MIN_POINTS:
         return None
-    exact = ModelCurve.of(points, *_exact_path(points, fits[FitMethod.EXACT], pendulum))
-    asymptotic = fits[FitMethod.ASYMPTOTIC]
-    no_times = np.full(len(points), np.nan)
+    asymptotic, exact = fits[FitMethod.ASYMPTOTIC], fits[FitMethod.EXACT]
+    # the half-swing map at the half-cycles of the data
+    index, start_rad = points.index - points.index[0], exact.estimate(AMPLITUDE.key).value
+    path_rad, path_s = turning_points_of(exact.contact(), pendulum, start_rad, int(index[-1]))
+    exact_s = path_s[index] + exact.estimate(TIME.key).value
+    # Eq. 5, with its linear term where one was fitted, at the times of the data
+    contact, period_s = asymptotic.contact(), asymptotic.mean_period_s.value
+    quarters = (points.time_s - points.time_s[0]) * (4 / period_s)
+    linear = contact.drag_s * math.pi**2 / (2 * period_s)
+    start_rad, friction = asymptotic.estimate(AMPLITUDE.key).value, contact.b / (contact.p + 1)
+    asymptotic_rad, _ = decay_path(quarters, start_rad, friction, contact.p, contact.c, linear)
     periods = full_periods(points)
     amplitude = points.amplitude[periods.points]
     return Curves(
-        asymptotic=ModelCurve.of(points, _asymptotic_path(points, asymptotic), no_times),
-        exact=exact,
+        asymptotic=ModelCurve.of(points, np.asarray(asymptotic_rad), np.full(len(points), np.nan)),
+        exact=ModelCurve.of(points, path_rad[index], exact_s),
         period_rad=amplitude,
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
-        asymptotic_period_s=period(amplitude, asymptotic.contact(), pendulum),
-        exact_period_s=exact.model_time_s[periods.points + 1] - exact.model_time_s[periods.points - 1],
+        asymptotic_period_s=period(amplitude, contact, pendulum),
+        exact_period_s=exact_s[periods.points + 1] - exact_s[periods.points - 1],
         smooth_s=_smooth(amplitude, periods),
     )
 
@@ -219,25 +227,6 @@ def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     # scipy's search ends at fixed bounds: with weights of 1e10 per s² it smooths nothing
     spline = make_smoothing_spline(x, periods.period_s[first], _MAX_WEIGHT * (u_s.min() / u_s) ** 2)
     return np.asarray(spline(np.log(amplitude)))
-
-
-def _exact_path(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Floats, Floats]:
-    """Amplitudes and times of the half-swing map at the half-cycles of the data."""
-    index = points.index - points.index[0]
-    start = fit.estimate(AMPLITUDE.key).value
-    amplitude, time = turning_points_of(fit.contact(), pendulum, start, int(index[-1]))
-    return amplitude[index], time[index] + fit.estimate(TIME.key).value
-
-
-def _asymptotic_path(points: TurningPoints, fit: Fit) -> Floats:
-    """Amplitudes by Eq. 5 (with its linear term where one was fitted) at the times of the data."""
-    contact, period_s = fit.contact(), fit.mean_period_s.value
-    s = (points.time_s - points.time_s[0]) * (4 / period_s)
-    # coefficient of a linear drag in the rate of Eq. 5, in units of T/4
-    linear = contact.drag_s * math.pi**2 / (2 * period_s)
-    start = fit.estimate(AMPLITUDE.key).value
-    path, _ = decay_path(s, start, contact.b / (contact.p + 1), contact.p, contact.c, linear)
-    return np.asarray(path, dtype=np.float64)
 
 
 def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:

@@ -131,15 +131,12 @@ def _without_position_errors(
     fit: DecayFit,
     drag: FittedDrag,
 ) -> Refinement | None:
-    """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
-
-    The motion was fitted to deflections with the errors. The fit of the motion and the search for errors are
-    therefore repeated without them. The fitted law then adjusts the part of the map that residuals leave
-    open.
-    """
+    """Half-cycles measured in deflections without the map's errors; None where laws describe them worse."""
     exact, final_map, remeasured = first_fit, position_map, half_cycles
     harmonics: PieceHarmonics | None = None
     try:
+        # motion and errors were found in deflections with the errors, and are found again without them; then
+        # the fitted law adjusts the part of the map that residuals leave open
         for step in range(3):
             if step == 1:
                 position_map = final_map = _with_remaining_errors(position_map, blocks, remeasured, motion)
@@ -168,10 +165,7 @@ def _with_remaining_errors(
     half_cycles: Sequence[HalfCycle],
     motion: KnownMotion,
 ) -> PositionMap:
-    """The map with the errors that the corrected deflections still show.
-
-    The places of the first map are measured deflections, which the errors have shifted.
-    """
+    """The map with the errors that corrected deflections still show: errors have shifted its own places."""
     watch = CycleExtractor(half_cycles, motion)
     search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
     for _ in _search_errors(map(position_map.corrected, blocks), watch, search):

@@ -119,23 +119,16 @@ def with_contact(
 ) -> AnalysedRun:
     """A run with the results of its fits: their numbers and rows, and verdicts and budget of the exact one.
 
-    Parameters
-    ----------
-    run
-        A run with its fits and, for a budget, its apparatus (`rig`).
-    plane_errors : (points, terms)
-        Independent errors of the amplitudes by the uncertain plane of swing; None if there are none.
-    air_drag
-        The drag expected of the air; None if it is not known.
-
-    Notes
-    -----
-    Nothing is raised for a missing part, such as a comparison fit that does not converge: `notes` name it.
+    `run` has its fits and, for a budget, its apparatus (`rig`). `plane_errors` (points, terms) are
+    independent errors of the amplitudes by the uncertain plane of swing; None if there are none. `air_drag`
+    is the drag expected of the air, if it is known. Nothing is raised for a missing part: `notes` name it.
     """
     points, fits, rig, name = run.points, run.fitted, run.rig, Path(run.record).stem
     exact = fits[FitMethod.EXACT]
     notes: list[str] = []
     drag: Drag | None = None
+    tables: Mapping[str, Budget] = {}
+    contact: FitResult | None = None
     determinations: tuple[Determination, ...] = ()
     try:
         drag = replace(drag_verdict(points, pendulum, exact), of_air=air_drag)
@@ -147,8 +140,6 @@ def with_contact(
         determinations = identifiability(points, pendulum, exact)
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
-    tables: Mapping[str, Budget] = {}
-    contact: FitResult | None = None
     if rig is not None:
         linearised = LinearisedFit.of(points, pendulum, exact)
         drifts = drift_effects(linearised)
@@ -205,20 +196,17 @@ def _widening(fit: FitResult) -> dict[str, float]:
     covariance = fit.covariance_by(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(covariance))
-    by_name = dict(zip(fit.names, ratio.tolist(), strict=True))
-    return {name: by_name[name] for name in fit.contact_names}
+    return {name: float(ratio[fit.names.index(name)]) for name in fit.contact_names}
 
 
 def _adhesion(
     run: str, c: float, pendulum: PendulumOnBall, rows: Sequence[ResultRow]
 ) -> tuple[str, tuple[ResultRow, ...]]:
-    """Name of the adhesion theory that holds, and radius and surface energy by each theory, for a given c.
-
-    Each value has the relative uncertainties of Hertz's, which is in `rows`: they depend on the same inputs.
-    """
+    """Name of the adhesion theory that holds, and radius and surface energy by each theory, for a given c."""
     if not c > 0:
         return "", ()
     contacts = adhesive_contacts(c, pendulum)
+    # values depend on the same inputs as Hertz's, and have the same relative uncertainties
     hertz_rows = {row.quantity: row for row in rows}
     spots = [plain_row("tabor", contacts.tabor, run, "adhesion")]
     for theory, spot in (("JKR", contacts.jkr), ("Maugis-Dugdale", contacts.maugis), ("DMT", contacts.dmt)):
@@ -232,12 +220,11 @@ def _adhesion(
 
 def _work_amplitudes_arcsec(points: TurningPoints) -> Sequence[float]:
     """Amplitudes of the work in arcsec: that of Table 4, or the nearest measured, and the first."""
-    first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
-    nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
-    if nearest == first:
-        return (first / ARCSEC_RAD,)
-    # not by way of rad, so that 3.1 stays 3.1
-    return (max(TABLE4_AMPLITUDE_ARCSEC, last / ARCSEC_RAD), float(points.amplitude[0]) / ARCSEC_RAD)
+    amplitude_arcsec = points.amplitude / ARCSEC_RAD
+    largest, smallest = float(amplitude_arcsec.max()), float(amplitude_arcsec.min())
+    if largest <= max(TABLE4_AMPLITUDE_ARCSEC, smallest):
+        return (largest,)
+    return (max(TABLE4_AMPLITUDE_ARCSEC, smallest), float(amplitude_arcsec[0]))
 
 
 def _work(
@@ -249,22 +236,19 @@ def _work(
     *,
     c_is_determined: bool,
 ) -> Work:
-    """Work per cycle, with its standard uncertainty by fit and apparatus; NaN without an apparatus.
-
-    The part of adhesion is determined only where c is.
-    """
+    """Work per cycle, with its u by fit and apparatus (NaN without); that of adhesion only with a known c."""
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     parameters = {name: np.array(value) for name, value in exact.named_values.items()}
     work = works_per_cycle_j(amplitude_rad, parameters, np.array(weight_moment(pendulum)))
     u = dict.fromkeys(work, math.nan)
     if rig is not None and contact is not None:
-        fit, apparatus = contact, rig
-
-        def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(fit, inputs, apparatus)
-            return works_per_cycle_j(amplitude_rad, reported, rolling_moment_nm(inputs, apparatus))
-
-        u = standard_uncertainties(contact, rig, works)
+        u = standard_uncertainties(
+            contact,
+            rig,
+            lambda inputs: works_per_cycle_j(
+                amplitude_rad, reported_quantities(contact, inputs, rig), rolling_moment_nm(inputs, rig)
+            ),
+        )
     return Work(
         amplitude_arcsec,
         Estimate(float(work["dissipated"]), u["dissipated"]),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from math import hypot, nan, pi
+from math import hypot, isfinite, nan, pi
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -82,22 +82,18 @@ def amplitude_damping(
     amplitudes = damping.amplitudes(_STORED_AMPLITUDES)
     tau_s, u_tau_s = damping.time_constant_s(amplitudes)
     parts = {name: Estimate(*getattr(damping, name)[:2]) for name in PARTS}
+    curve = []
+    for amplitude, tau, u in np.stack([amplitudes, tau_s, u_tau_s]).T.tolist():
+        if isfinite(tau) and tau > 0:
+            quality = Estimate(pi * frequency_hz * tau, pi * frequency_hz * hypot(u, u_frequency * tau))
+            tau_estimate = Estimate(tau, u)
+            curve.append(DampingAt(amplitude=amplitude, time_constant_s=tau_estimate, quality_factor=quality))
     return AmplitudeDamping(
         **parts,
         probabilities=tuple(float(getattr(damping, name).probability) for name in PARTS),
         needed=damping.needed,
         chi2_per_dof=damping.chi2_per_dof,
-        curve=tuple(
-            DampingAt(
-                amplitude=amplitude,
-                time_constant_s=Estimate(tau, u),
-                quality_factor=Estimate(
-                    pi * frequency_hz * tau, pi * frequency_hz * hypot(u, u_frequency * tau)
-                ),
-            )
-            for amplitude, tau, u in np.stack([amplitudes, tau_s, u_tau_s]).T.tolist()
-            if np.isfinite(tau) and tau > 0
-        ),
+        curve=tuple(curve),
     )
 
 
@@ -118,7 +114,8 @@ def decay_rows(
     points: TurningPoints, values: DecayValues | None, unit: str, unit_size: float, run: str
 ) -> tuple[ResultRow, ...]:
     """The rows of period, decrement and quality factor, if known, and of first and last amplitude."""
-    estimates = {} if values is None else {name: getattr(values, name) for name in DecayValues._fields[:3]}
+    estimates = {} if values is None else values._asdict()
+    estimates.pop("damping", None)
     rows = [plain_row(name, estimate, run, DECAY) for name, estimate in estimates.items() if estimate]
     ends = points.amplitude[[0, -1]] / unit_size if len(points) else np.full(2, np.nan)
     names = ("initial_amplitude", "final_amplitude")

@@ -3,6 +3,7 @@
 null says "not determined": it is read as NaN, and NaN and infinity are written as null.
 """
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -10,7 +11,7 @@ from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema, JsonValue, TypeAdapter
 from pydantic_core import CoreSchema, SchemaSerializer, SchemaValidator, core_schema
 
 from processing.quantity import quantities_of
@@ -21,28 +22,15 @@ _MAX_NUMBER = 1e100
 """Largest number of a file; a larger one is written as null, "not determined"."""
 
 
-def _nan_to_null(value: float) -> float | None:
-    return float(value) if abs(value) <= _MAX_NUMBER else None
-
-
-class Codec:
-    """Encoder and decoder of the values of one type, such as a frozen dataclass.
+@functools.cache
+def codec(kind: Any) -> tuple[SchemaValidator, SchemaSerializer]:
+    """Decoder and encoder of the values of one type, such as a frozen dataclass.
 
     A float is a number in the file, or null where it is not determined. A field that is None by default is
     left out where it is None.
     """
-
-    def __init__(self, kind: Any) -> None:
-        schema = _with_nulls(TypeAdapter(kind).core_schema)
-        self._validator, self._serializer = SchemaValidator(schema), SchemaSerializer(schema)
-
-    def read(self, tree: object) -> Any:
-        """The value of a JSON tree; raises pydantic's ValidationError."""
-        return self._validator.validate_python(tree)
-
-    def write(self, value: object) -> Any:
-        """The JSON tree of a value."""
-        return self._serializer.to_python(value, mode="json")
+    schema = _with_nulls(TypeAdapter(kind).core_schema)
+    return SchemaValidator(schema), SchemaSerializer(schema)
 
 
 def _with_nulls(schema: Any) -> Any:
@@ -52,7 +40,9 @@ def _with_nulls(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     if schema.get("type") == "float":
-        serializer = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
+        serializer = core_schema.plain_serializer_function_ser_schema(
+            lambda value: float(value) if abs(value) <= _MAX_NUMBER else None
+        )
         return core_schema.no_info_before_validator_function(
             lambda value: math.nan if value is None else value, schema, serialization=serializer
         )
@@ -62,27 +52,19 @@ def _with_nulls(schema: Any) -> Any:
     return changed
 
 
-class _Array:
+def _array_of(items: Any, dtype: Any) -> GetPydanticSchema:
     """Annotation of a one-dimensional array: a list of numbers."""
 
-    def __init__(self, kind: type[float] | type[int]) -> None:
-        self._kind = kind
+    def as_list(values: NDArray[Any]) -> list[Any]:
+        return [number if abs(number) <= _MAX_NUMBER else None for number in values.tolist()]
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        items = handler(tuple[self._kind, ...])  # type: ignore[name-defined]
-        dtype = np.float64 if self._kind is float else np.int64
-        return core_schema.no_info_after_validator_function(
+    return GetPydanticSchema(
+        lambda source, handler: core_schema.no_info_after_validator_function(
             lambda numbers: np.array(numbers, dtype=dtype),
-            items,
-            serialization=core_schema.plain_serializer_function_ser_schema(_as_list),
+            handler(items),
+            serialization=core_schema.plain_serializer_function_ser_schema(as_list),
         )
-
-
-def _as_list(values: NDArray[Any]) -> list[Any]:
-    numbers: list[Any] = values.tolist()
-    for undetermined in np.flatnonzero(~(np.abs(values) <= _MAX_NUMBER)).tolist():
-        numbers[undetermined] = None
-    return numbers
+    )
 
 
 @dataclass(frozen=True)
@@ -159,7 +141,7 @@ def _allow_null(schema: Any) -> None:
             _allow_null(item)
 
 
-Floats = Annotated[NDArray[np.float64], _Array(float)]
-Integers = Annotated[NDArray[np.int64], _Array(int)]
+Floats = Annotated[NDArray[np.float64], _array_of(tuple[float, ...], np.float64)]
+Integers = Annotated[NDArray[np.int64], _array_of(tuple[int, ...], np.int64)]
 Entries = Field(json_schema_extra={"x-entries": True})
 """Marks, for the JSON schema, the mapping of a `MergedField`."""

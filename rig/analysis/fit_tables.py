@@ -1,26 +1,39 @@
-"""Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
+"""Tables of parameters and of the quality of fits for terminal, report and Rerun; results on the terminal."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import logging
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from functools import partial
 from math import isnan
-from typing import Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from processing.contact.laws import DEFAULT_LAW
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import Estimate
 from processing.fit import FitMethod, FitQuality
 from processing.instruments import Check
 from processing.quantity import InstrumentQuantities, quantities_of
+from processing.swing import HalfCycleFlag, turning_points
+from processing.units import seconds
 from rig.analysis.decay_values import INSTRUMENT, InstrumentSeries
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row
-from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
-from rig.analysis.run_remarks import limits_of, main_sources
-from rig.terminal import Table, decimals, plain, quantity
+from rig.analysis.results import ComparedLaws, RunResults, Series, SessionResults
+from rig.analysis.results_file import encoded
+from rig.analysis.run_remarks import RemarkLevel, decay_lines, limits_of, main_sources, remark_rows
+from rig.analysis.run_values import TableDecay
+from rig.terminal import Table, answer, decimals, plain, print_line, print_tables, quantity
+
+logger = logging.getLogger(__name__)
+
+if TYPE_CHECKING:
+    from rig.analysis.series import AnalysedRun
+    from rig.analysis.table_fit import AnalysedTable
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u."""
-    others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
-    by_others = {(row.fit, row.quantity): Estimate(*row) for row in run.table if row.fit in others}
+    asymptotic = {row.quantity: row for row in run.table if row.fit == FitMethod.ASYMPTOTIC}
     main_names = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
     for row in run.contact:
@@ -28,12 +41,17 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
             continue
         texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
-            u_half_cycles = row.u * row.shown.factor
+            u_half_cycles, other = row.u * row.shown.factor, asymptotic.get(row.quantity)
             texts.append(plain(u_half_cycles, 2) if u_half_cycles > 0 else "")
-            estimates = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
-            texts += ["" if isnan(estimate.value) else row.shown.text(*estimate) for estimate in estimates]
+            texts.append("" if other is None or isnan(other.value) else other.text)
         lines.append([*texts, main_sources(row, run.budget)])
-    head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
+    head = [
+        "",
+        "value",
+        "unit",
+        *(["u of the swings", FitMethod.ASYMPTOTIC.heading] if full else []),
+        _SOURCES,
+    ]
     if not any(line[-1] for line in lines):
         head, lines = head[:-1], [line[:-1] for line in lines]
     title = "Parameters of the contact, exact fit"
@@ -77,8 +95,7 @@ def quality_table(run: RunResults) -> Table:
     The period is that of the table of results, whose uncertainty contains the clock's and the change of the
     period; it is the same for every fit.
     """
-    fits = run.fits
-    methods = _in_order(fits)
+    fits, methods = run.fits, [method for method in FitMethod if method in run.fits]
     lines = []
     if (period := run.rows.get(_PERIOD)) is not None:
         lines.append([period.shown.name, *[period.text] * len(methods), period.shown.unit])
@@ -90,19 +107,9 @@ def quality_table(run: RunResults) -> Table:
         numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
         lines.append([form.name, *numbers, form.unit])
     lines.append(["outlying half-cycles", *(_list_text(fits[method].outliers) for method in methods), ""])
-    head = ("", *map(_heading, methods), "unit")
+    head = ("", *(method.heading for method in methods), "unit")
     note = "" if period is None else _PERIOD_NOTE
     return Table("quality", "Quality of the fits", head, lines, note)
-
-
-def _in_order(fits: Mapping[str, Fit]) -> list[str]:
-    known = [method.value for method in FitMethod if method in fits]
-    return [*known, *(name for name in fits if name not in known)]
-
-
-def _heading(name: str) -> str:
-    """Heading of a fit's column; a file may hold fits that have no `FitMethod`."""
-    return {method.value: method.heading for method in FitMethod}.get(name, name)
 
 
 def _list_text(items: Sequence[int]) -> str:
@@ -182,3 +189,116 @@ def instrument_series_table(series: InstrumentSeries) -> Table:
     lines = [[name, row.text, row.shown.unit, ""] for name, row in rows]
     lines += map(_check_line, series.acceptance or ())
     return Table("series", "The series", _INSTRUMENT_HEAD, lines)
+
+
+def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) -> None:
+    """Print the runs, then the written `paths` with names of their contents.
+
+    Several fitted runs have one combined table, and each run only its problems. A single run has its exact
+    fit, with the whole budget and advice on what would reduce the uncertainty. With INFO enabled for this
+    logger (``rig -v``), every run has both fits, with the half-cycles' own uncertainties, their quality, and
+    all remarks.
+    """
+    answer(results=partial(encoded, results), written=[path for _, path in paths])
+    combined = combined_table(results)
+    short = combined is not None and not logger.isEnabledFor(logging.INFO)
+    for number, run in zip(results.numbers, results.runs, strict=True):
+        origin = "SIMULATED run" if run.simulated else "run"
+        heading = (
+            f"{origin} {number}: {run.half_cycles_text()}, {run.frames} frames, {run.dropped_frames} dropped"
+        )
+        lines = [] if run.ended is None else [f"ended: {run.ended}"]
+        # tables of a fit say the same and more
+        lines += [] if run.fits or run.instrument is not None else decay_lines(run)
+        print_run(run, heading, lines, short=short)
+    if combined is not None:
+        print_tables([combined])
+    if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
+        print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
+    print_series(results.series)
+    for name, path in paths:
+        # without the wrapping of print_line, which would cut a path
+        print(f"{name:<12} {path}")
+
+
+def print_run(run: RunResults, heading: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
+    """Print one run: heading, `lines` of its own, tables of the fits, remarks, conditions and warnings.
+
+    `short` leaves out tables of the fits and remarks.
+    """
+    full = logger.isEnabledFor(logging.INFO)
+    print_line(heading)
+    for line in lines:
+        print_line(f"  {line}")
+    if run.problem:
+        print_line(f"  contact laws not fitted: {run.problem}")
+    if run.fits and not short:
+        parameters = parameter_table(run, full=full)
+        print_tables([parameters, quality_table(run)] if full else [parameters])
+    if run.instrument is not None:
+        print_tables([instrument_table(run)])
+    if run.laws is not None:
+        print_tables([law_table(run.laws)])
+        print_line(f"  {run.laws.verdict}")
+    levels = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
+    remark_lines = [*(run.instrument.text if run.instrument else ())]
+    remark_lines += [row.line for row in remark_rows(run, *levels, RemarkLevel.CONDITION)]
+    warning_levels = [RemarkLevel.WARNING, *([RemarkLevel.OTHER_FIT] if full else [])]
+    remark_lines += [f"note: {row.text}" for row in remark_rows(run, *warning_levels)]
+    for line in remark_lines:
+        print_line(f"  {line}")
+
+
+_FLAG_TEXTS = {
+    HalfCycleFlag.GAP: "with too few samples around it",
+    HalfCycleFlag.VIBRATION: "disturbed",
+    HalfCycleFlag.LOW_AMPLITUDE: "too small",
+    HalfCycleFlag.START: "of a release or kick",
+    HalfCycleFlag.INFERRED: "outside the sensor",
+    HalfCycleFlag.REST_MOVED: "beyond a knock that moved the rest position",
+}
+
+
+def print_table(path: Path, table: "AnalysedTable") -> None:
+    """Print how a table was read, and the results of its decays and of their series."""
+    trajectory = table.positions
+    print_line(
+        f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
+        f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
+        f"{len(table.runs)} {'decay' if len(table.runs) == 1 else 'decays'}"
+    )
+    for line in trajectory.understood:
+        print_line(f"  {line}")
+    print_line(
+        f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve"
+    )
+    for half_cycles in table.short_decays:
+        print_line(
+            f"  from {seconds(half_cycles[0].turn_time_ns):.4g} s on: {len(turning_points(half_cycles))} "
+            f"usable half-cycles of {len(half_cycles)}, too few for a decay"
+        )
+    for number, run in enumerate(table.runs, start=1):
+        _print_decay(number, run, run.decay or TableDecay())
+    print_series(table.series)
+
+
+def print_series(series: Series | None) -> None:
+    """Print the comparison of places on a sample, by another kind of pendulum; else nothing."""
+    if series is not None and series.instrument is not None:
+        print_tables([instrument_series_table(series.instrument)])
+        for line in series.instrument.lines:
+            print_line(line)
+
+
+def _print_decay(number: int, run: "AnalysedRun", decay: TableDecay) -> None:
+    usable, (first, last) = len(turning_points(run.detected_half_cycles)), run.amplitudes
+    counts = Counter(
+        text for h in run.detected_half_cycles for flag, text in _FLAG_TEXTS.items() if h.flags & flag
+    )
+    reasons = ", ".join(f"{count} {text}" for text, count in counts.most_common())
+    heading = (
+        f"decay {number}, {decay.began_s:.4g} to {decay.ended_s:.4g} s: {usable} half-cycles "
+        f"({len(run.detected_half_cycles) - usable} more flagged and left out{reasons and f': {reasons}'}), "
+        f"amplitude {first:.4g} to {last:.4g} {run.amplitude_unit}"
+    )
+    print_run(run, heading, decay_lines(run))

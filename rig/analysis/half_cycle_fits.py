@@ -47,20 +47,9 @@ def analyse_swings(
 ) -> AnalysedRun:
     """Results of one run, or of one decay of a table, for its kind of pendulum; without rows of the decay.
 
-    Parameters
-    ----------
-    path
-        The file of the half-cycles.
-    followed
-        Half-cycles and deflections in their plane of swing.
-    air
-        The ambient conditions.
-    u_clock
-        Relative standard uncertainty of the second of the times.
-    seismometer
-        The record of an auxiliary seismometer.
-    u_common_rad
-        Standard uncertainty of an error that all amplitudes share.
+    `followed` are the half-cycles of the file at `path`, and their deflections, in their plane of swing.
+    `u_clock` is the relative standard uncertainty of the second of their times, `u_common_rad` that of an
+    error that all amplitudes share, `seismometer` the record of an auxiliary one.
     """
     deflections, unit = followed.deflections, followed.deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
@@ -77,10 +66,9 @@ def analyse_swings(
     points = points_in_true_time(refined.half_cycles, clock_rate)
     unflagged = [h for h in refined.half_cycles if not h.flags]
     fits: Mapping[str, FitResult] = {}
-    use, problem = None, followed.problem
+    use, problem, seismogram = None, followed.problem, None
     if not problem and unit is not DeflectionUnit.RAD:
         problem = "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
-    seismogram = None
     if seismometer is not None and unflagged:
         seismogram = seismometer.seismogram(unflagged[0].turn_time_ns)
     try:
@@ -152,11 +140,7 @@ def _reduce_run(
 
 
 def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
-    """Errors of scale and clock that all turning points of a run share.
-
-    Runs share an error of the same name: those whose configurations state the same arm were measured with one
-    arm.
-    """
+    """Errors of scale and clock that all turning points of a run share, and, by equal names, several runs."""
     errors = [SharedError("compression", amplitude_rad=u_common_rad)]
     if (lever := config.lever) is not None:
         u_pitch = lever.u_pixel_pitch_m / lever.pixel_pitch_m
@@ -223,9 +207,8 @@ def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axe
     stated_rad = 0.0 if axes is None else axes.slow_angle_rad
     # both directions across would do; this one is within the limits of the key
     across_rad = stated_rad + math.copysign(0.5 * math.pi, -stated_rad or 1.0)
-    factor = f"{fast_over_slow:.2g}"
-    if fast_over_slow >= _MAX_SHOWN_RATIO:
-        factor = f"more than {_MAX_SHOWN_RATIO:g}"
+    shown = min(fast_over_slow, _MAX_SHOWN_RATIO)
+    factor = f"{shown:.2g}" if shown < _MAX_SHOWN_RATIO else f"more than {shown:g}"
     fast, slow = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
     return (
         f"the swing is along {fast}, {factor} times as far as along {slow}, where half-cycles "

@@ -53,6 +53,8 @@ class Reduction:
 
     def __init__(self, settings: InstrumentSettings, run: str, half_cycles: Sequence[HalfCycle]) -> None:
         self.settings, self.half_cycles, self._run = settings, half_cycles, run
+        self.description: Description = settings.description()
+        """Description of this kind of pendulum."""
         self.points = turning_points(half_cycles)
         self.errors: Sequence[SharedError] = ()
         """Errors that the points share."""
@@ -65,11 +67,6 @@ class Reduction:
         """The reason why quantities are missing; empty if none is."""
         self.readings: Mapping[str, ValueWithSharedErrors] = {}
         """Values that a series compares; empty if there are none."""
-
-    @property
-    def description(self) -> Description:
-        """Description of this kind of pendulum."""
-        return self.settings.description()
 
     def evaluate(
         self, reduce: Callable[[TurningPoints], _Values]
@@ -147,19 +144,14 @@ def _circular(report: Reduction) -> None:
 def _rolling(report: Reduction) -> None:
     description, settings = report.description, report.settings
     lever = description.lever_m and Estimate(description.lever_m, settings.u_lever_m)
-    radius = description.support_radius_m and Estimate(
-        description.support_radius_m, settings.u_support_radius_m
-    )
+    support = description.support_radius_m
+    radius = support and Estimate(support, settings.u_support_radius_m)
     friction, _ = report.evaluate(lambda points: rolling_friction(points, lever or None, radius or None))
-    if friction.coefficient is not None:
-        amplitude = f"at {friction.law.reference_rad / DEGREE_RAD:.3g}°"
-        report.add(amplitude, rolling_friction_coefficient=friction.coefficient)
-    else:
-        report.lines.append(
-            "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
-        )
+    if friction.coefficient is None:
+        missing = "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
+        report.lines.append(missing)
     report.lines += friction.sentences
-    _friction_law(friction.law, friction.decrement, report)
+    _friction_law(friction.law, friction.decrement, report, rolling_friction_coefficient=friction.coefficient)
 
 
 class _Friction(NamedTuple):
@@ -174,10 +166,12 @@ def _friction(points: TurningPoints) -> _Friction:
     return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
 
 
-def _friction_law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
-    """Add decrement at the reference amplitude and against amplitude, moment and power of the friction."""
+def _friction_law(
+    law: FrictionLaw, decrement: Estimate, report: Reduction, **others: Estimate | None
+) -> None:
+    """Add decrement (and `others`) at the reference amplitude and against amplitude, moment and power."""
     amplitude = f"at {law.reference_rad / DEGREE_RAD:.3g}°"
-    report.add(amplitude, log_decrement=decrement, friction_moment=law.moment)
+    report.add(amplitude, **others, log_decrement=decrement, friction_moment=law.moment)
     report.add(friction_exponent=law.exponent, chi2_per_dof=law.chi2_per_dof)
     index = report.points.index
     losses = measured_losses(report.points, cycles=max(1, int(index[-1] - index[0]) // 40))
@@ -202,19 +196,11 @@ def reduce_run(
     clock_rate: float = 1.0,
     run: str = "",
 ) -> Reduction:
-    """Results of the half-cycles of one run of a pendulum that swings by degrees.
+    """Results of the half-cycles of one run of a pendulum that swings by degrees; its rows name the `run`.
 
-    Parameters
-    ----------
-    followed
-        Half-cycles of the detector, and the deflections in which they were detected, in rad, both in the
-        plane of swing. Turning points are fitted again to deflections by a waveform that holds at degrees.
-    errors
-        Errors that all turning points of the run share, and perhaps other runs.
-    clock_rate
-        True seconds per second of the deflections' clock.
-    run
-        The name of the run in its rows.
+    Half-cycles of the detector and their deflections, in rad, are in the plane of swing; turning points are
+    fitted again to deflections by a waveform that holds at degrees. All points share `errors`, perhaps with
+    other runs. `clock_rate` is true seconds per second of the deflections' clock.
     """
     report = Reduction(settings, run, followed.half_cycles)
     description, half_cycles = report.description, report.half_cycles
@@ -250,10 +236,10 @@ def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
     if plane is None:
         report.lines.append("the plane of swing is not known: too few periods were seen along both axes")
         return
-    rate = Estimate(plane.mean_rate(), plane.u_mean_rate())
+    duration_s = seconds(followed.half_cycles[-1].turn_time_ns - plane.start_ns)
     rate_deg_per_min, rotation_deg = (
-        Estimate(*(factor / DEGREE_RAD * value for value in rate))
-        for factor in (60.0, seconds(followed.half_cycles[-1].turn_time_ns - plane.start_ns))
+        Estimate(span_s / DEGREE_RAD * plane.mean_rate(), span_s / DEGREE_RAD * plane.u_mean_rate())
+        for span_s in (60.0, duration_s)
     )
     angles = np.unwrap([balance.line_angle_rad for balance in followed.balances], period=math.pi)
     times_ns = np.array([balance.time_ns for balance in followed.balances])
@@ -318,13 +304,10 @@ def _check_conditions(report: Reduction, air: AmbientConditions) -> None:
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),
     ):
-        if limits is None:
-            continue
-        if math.isnan(value):
-            report.lines.append(
-                f"{name} is not known; the standard wants {limits.value:g} ± {limits.tolerance:g} {unit}"
-            )
-        else:
+        if limits is not None and math.isnan(value):
+            wanted = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
+            report.lines.append(f"{name} is not known; the standard wants {wanted}")
+        elif limits is not None:
             report.check(name, value, limits, unit)
     standard = INSTRUMENTS[settings.kind]
     if not (settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None):

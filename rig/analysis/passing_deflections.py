@@ -32,31 +32,16 @@ _MAX_FRAMES_IN_MEMORY = 300_000
 class PassingDeflections:
     """The deflections of a run, in order, some thousand frames at a time.
 
-    A short run stays in memory, and is not read again for a second pass. Of a long run only the coordinates
-    of the frames that have passed stay, 16 bytes a frame: a day's deflections with their times and
-    uncertainties would be several hundred megabytes.
-
-    Parameters
-    ----------
-    blocks
-        Consecutive frames; an iterable that can be iterated again, for further passes of a long run.
-    unit
-        Unit of every block.
-
-    Attributes
-    ----------
-    frames, lost_spots
-        Number of frames in the first pass, and of those without a spot.
-    first_ns, last_ns
-        Times of the first and of the last of these frames; 0 where there are none.
+    `blocks` are consecutive frames in `unit`; for further passes of a long run they are iterated again. A
+    short run stays in memory. Of a long one only the coordinates stay, 16 bytes a frame: a day's deflections
+    with their times and uncertainties would be several hundred megabytes. `frames` is the number of frames in
+    the first pass, `lost_spots` that of those without a spot, `first_ns` and `last_ns` are the times of the
+    first and of the last; 0 where there are none.
     """
 
     def __init__(self, blocks: Iterable[Deflections], unit: DeflectionUnit) -> None:
         self.unit = unit
-        self.frames = 0
-        self.lost_spots = 0
-        self.first_ns = 0
-        self.last_ns = 0
+        self.frames = self.lost_spots = self.first_ns = self.last_ns = 0
         self._source = blocks
         self._first_pass = filter(len, blocks)
         self._has_passed = False
@@ -172,13 +157,12 @@ def without_beam_motion(reader: RecordReader, config: Configuration) -> Deflecti
 
 def _reference_note(by_axis: Mapping[str, CorrectedPositions], *, is_stated: bool) -> str:
     """Verdict on the reference spot, in one line, with the gain unless the configuration states it."""
-    lost = int(np.count_nonzero(next(iter(by_axis.values())).fallen_back))
+    lost = int(np.count_nonzero(by_axis["x_px"].fallen_back))
     texts = []
     for name, positions in by_axis.items():
-        gain = positions.gain
-        has_own_gain = not is_stated and np.isfinite(gain.value)
-        own_gain = f" with a gain of {with_uncertainty(*gain)} from the run itself" if has_own_gain else ""
-        texts.append(f"{name[0]} {positions.verdict}{own_gain}")
+        has_own_gain = not is_stated and np.isfinite(positions.gain.value)
+        gain = f" with a gain of {with_uncertainty(*positions.gain)} from the run itself"
+        texts.append(f"{name[0]} {positions.verdict}{gain if has_own_gain else ''}")
     unchanged = f"; {lost} frames without it are unchanged" if lost else ""
     return f"reference spot: {', '.join(texts)}{unchanged}"
 
@@ -276,14 +260,9 @@ def _track_again(
     sensor = sensor_model(config, reader.full_scale_dn)
     full = steps * int(sensor.full_scale_dn)
     subtracted = np.rint(steps * light.subtracted_dn).astype(np.int64)
-    tracker = SpotTracker(
-        replace(
-            sensor,
-            gain_e_per_dn=sensor.gain_e_per_dn / steps,
-            full_scale_dn=full,
-            pedestal_dn=sensor.pedestal_dn * steps,
-        )
-    )
+    gain, pedestal_dn = sensor.gain_e_per_dn / steps, steps * sensor.pedestal_dn
+    fine = replace(sensor, gain_e_per_dn=gain, full_scale_dn=full, pedestal_dn=pedestal_dn)
+    tracker = SpotTracker(fine)
     chosen, spots = set(sequences.tolist()), {}
     for window in reader.windows():
         if window.sequence not in chosen:

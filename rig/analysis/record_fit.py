@@ -187,7 +187,6 @@ _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
 """Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
 _MAX_U_STEP_S = 1e-3
 """Largest uncertainty of a step that is no fault: turning points are timed to some 0.1 ms."""
-_CLOCK_LIMIT_TEXT = f"steps known to {_MAX_U_STEP_S:g} s"
 _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
 
 
@@ -222,11 +221,8 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
 
 
 def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
-    """Relative standard uncertainty of the rate with which the run's times were computed.
-
-    It is that of the calibration; for a calibrated rate that the run contradicts, and for an assumed rate, it
-    is the deviation from the run's own rate.
-    """
+    """Relative standard uncertainty of the rate with which the run's times were computed."""
+    # that of the calibration, or, where that is contradicted or lacks, the deviation from the run's own rate
     u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
         return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)
@@ -266,24 +262,12 @@ def run_conditions(
     frames, dropped, max_lost = run.frames, run.dropped_frames, limits.max_lost_fraction
     exact, events = run.fits.get(FitMethod.EXACT), reader.events()
     remedy = "find out where they were lost: camera, bus or computer"
-    beam_verdicts = []
-    if run.beam is not None:
-        saturated = _fraction(
-            "saturation",
-            run.beam.flags.get("SATURATED", 0),
-            frames,
-            limits.max_saturated_fraction,
-            "lower the exposure (exposure_us) or the laser's power",
-            # the flanks of saturated spots alone are fitted, which is right only for Gaussian beams
-            "pixels at full scale are lost to the fit",
-            warns=True,
-        )
-        beam_verdicts = [_beam(run.beam, limits.max_poor_fit_fraction), saturated]
     return (
         _end(end_of(events)),
         _fraction("lost spots", lost_spots, frames, max_lost, "see laser, beam and exposure"),
         _fraction("dropped frames", dropped, frames + dropped, max_lost, remedy),
-        *beam_verdicts,
+        *([] if run.beam is None else [_beam(run.beam, limits.max_poor_fit_fraction)]),
+        *([] if run.beam is None else [_saturation(run.beam, frames, limits.max_saturated_fraction)]),
         *_forbidden_events(events),
         *([] if run.clock is None else [_clock(run.clock)]),
         *_watcher_failures(events),
@@ -303,13 +287,13 @@ def _condition(
 
 def _end(end: Event | None) -> Verdict:
     """Whether the run reached its end; a run that a person ended early is no fault."""
+    measured = "none" if end is None else end.text
     if end is None or end.kind == EventKind.FAILED:
         reason = "the record has no end event" if end is None else "an error ended it"
         remedy = "remove the cause, then measure again: rig run --resume"
-        measured = "none" if end is None else end.text
-        return Verdict("end", False, reason, remedy, measured=measured, limit="its own")
+        return Verdict("end", False, reason, remedy, measured, "its own")
     early = "ended early" if end.kind == EventKind.ENDED_EARLY else ""
-    return Verdict("end", True, early, measured=end.text, limit="its own")
+    return Verdict("end", True, early, measured=measured, limit="its own")
 
 
 def _fraction(
@@ -337,6 +321,14 @@ def _beam(beam: Beam, max_fraction: float) -> Verdict:
     return _condition("beam", ok, reason, beam.remedy, measured, limit, warns=True)
 
 
+def _saturation(beam: Beam, frames: int, max_fraction: float) -> Verdict:
+    """A warning: the flanks of saturated spots alone are fitted, which is right only for Gaussian beams."""
+    reason = "pixels at full scale are lost to the fit"
+    remedy = "lower the exposure (exposure_us) or the laser's power"
+    count = beam.flags.get("SATURATED", 0)
+    return _fraction("saturation", count, frames, max_fraction, remedy, reason, warns=True)
+
+
 def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
     # a laser of unknown state counts as dark
     kinds = [EventKind.LASER_DARK if e.kind == EventKind.LASER_UNKNOWN else e.kind for e in events]
@@ -352,21 +344,20 @@ def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
 
 def _clock(clock: RunClock) -> Verdict:
     """Verdict on the steps that were taken off: a warning if known to `_MAX_U_STEP_S`, else a fault."""
-    if not clock.steps:
-        return Verdict("camera's clock", True, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
     reason = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
     remedy = "network clock, supply, cable of the camera; rig calibrate clock"
-    ok = clock.u_steps_s <= _MAX_U_STEP_S
-    return Verdict("camera's clock", ok, reason, remedy, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
+    texts = (reason, remedy) if clock.steps else ("", "")
+    ok, limit = clock.u_steps_s <= _MAX_U_STEP_S, f"steps known to {_MAX_U_STEP_S:g} s"
+    return Verdict("camera's clock", ok, *texts, clock.text, limit)
 
 
 def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
     """A warning where a part that only watches the run failed, which does not harm the record."""
     texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
-    if not texts:
-        return []
     remedy = "the record is whole; report this with the program's log"
-    return [Verdict("watching", True, "what only watches failed", remedy, measured=texts[-1], limit="never")]
+    return [
+        Verdict("watching", True, "what only watches failed", remedy, text, "never") for text in texts[-1:]
+    ]
 
 
 def _temperature(reader: RecordReader) -> list[Verdict]:

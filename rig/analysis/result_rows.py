@@ -229,11 +229,7 @@ def _with_apparatus(
     budget: Mapping[str, Budget],
     pendulum: PendulumOnBall,
 ) -> tuple[ResultRow, ...]:
-    """The rows of parameters with the apparatus, of surface energies, and of the apparatus alone.
-
-    The apparatus adds to the uncertainty, and to both sides of the interval. A quantity that is not
-    determined has neither value nor uncertainty.
-    """
+    """The rows of parameters with the apparatus, of surface energies, and of the apparatus alone."""
     quantities = {determination.name: (estimate, determination) for estimate, determination in parameters}
     if "c" in quantities:
         estimate, c = quantities["c"]
@@ -252,23 +248,14 @@ def _with_apparatus(
         if name in budget and (u_apparatus := budget[name].apparatus_u) > 0:
             expanded = budget[name].coverage_factor_95 * u_apparatus
             lower, upper = _wider_interval(name, estimate.value, (lower, upper), expanded)
-        numbers = (*estimate, hypot(estimate.standard_uncertainty, u_apparatus))
-        is_determined = determination.verdict is Determinacy.DETERMINED
-        value, u, u_total = numbers if is_determined else (nan, nan, nan)
-        rows.append(
-            ResultRow(
-                quantity=name,
-                value=value,
-                u=u,
-                u_total=u_total,
-                lower=lower,
-                upper=upper,
-                verdict=determination.verdict,
-                unit=unit_of(name),
-                run=run,
-                by_profile=determination.profile_likelihood,
-            )
-        )
+        row = ResultRow(
+            quantity=name, lower=lower, upper=upper, verdict=determination.verdict, unit=unit_of(name),
+            run=run, by_profile=determination.profile_likelihood,
+        )  # fmt: skip
+        if row.determined:
+            value, u = estimate
+            row = replace(row, value=value, u=u, u_total=hypot(u, u_apparatus))
+        rows.append(row)
     return tuple(rows)
 
 

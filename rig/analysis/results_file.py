@@ -1,6 +1,5 @@
 """Reading, writing and finding results.json, and its JSON schema."""
 
-import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from pydantic import ValidationError
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, RecordError, require_schema
 from processing.fault_text import fault_text
-from rig.analysis.encoding import Codec, JsonObject, file_schema
+from rig.analysis.encoding import JsonObject, codec, file_schema
 from rig.analysis.results import SCHEMA, RunResults, SessionResults
 from rig.terminal import plain_values, translated_file_errors
 
@@ -18,17 +17,12 @@ RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it again from the record"
 
 
-@functools.cache
-def _codec(kind: Any) -> Codec:
-    return Codec(kind)
-
-
 def encoded(values: object) -> JsonObject:
     """The JSON tree of results, or of a part of them."""
     # an analysed run or table has fields that the file does not hold
     bases: tuple[Any, ...] = (RunResults, SessionResults)
     kind: Any = next((base for base in bases if isinstance(values, base)), type(values))
-    tree: JsonObject = _codec(kind).write(values)
+    tree: JsonObject = codec(kind)[1].to_python(values, mode="json")
     return tree
 
 
@@ -94,7 +88,7 @@ def decoded(tree: Any, path: Path) -> SessionResults:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
     require_schema(str(path), tree.get("schema"), SCHEMA, RecordError)
     try:
-        results: SessionResults = _codec(SessionResults).read(tree)
+        results: SessionResults = codec(SessionResults)[0].validate_python(tree)
     except ValidationError as error:
         fault = error.errors()[0]
         # names of validators, which have parentheses, are no keys of the file

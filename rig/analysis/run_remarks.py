@@ -220,24 +220,20 @@ def ground_sentence(ground: Ground) -> str:
     count = ground.left_out_half_cycles
     left_out = f"; the last {count} half-cycles are its motion and were not fitted" if count else ""
     drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, "rad", seen=ground.seen)
-    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_ground_cost(ground)}"
+    sentence = f"Ground at the pendulum's frequency: {drive}{left_out}."
+    factors = _factors_text(ground.widening, _MIN_NAMED_FACTOR, 2)
+    if not factors or not ground.seen:
+        return sentence
+    return (
+        f"{sentence} It enlarges the uncertainties by factors of {factors}. "
+        "Finer balancing, a quieter hour, a larger first amplitude or more runs would help."
+    )
 
 
 def drive_text(density: Estimate, upper_95: float, unit: str, *, seen: bool) -> str:
     """A drive as text; `unit` is that of the deflections."""
     unit = f"{unit}/s²/√Hz"
     return f"{with_uncertainty(*density)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
-
-
-def _ground_cost(ground: Ground) -> str:
-    """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
-    factors = _factors_text(ground.widening, _MIN_NAMED_FACTOR, 2)
-    if not factors or not ground.seen:
-        return ""
-    return (
-        f" It enlarges the uncertainties by factors of {factors}. "
-        "Finer balancing, a quieter hour, a larger first amplitude or more runs would help."
-    )
 
 
 def _factors_text(factors: Mapping[str, float], min_factor: float, digits: int) -> str:
@@ -267,12 +263,10 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         gain = use.gain_of_prediction
         gain_text = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
-        lines = (
-            f"Auxiliary seismometer {use.verdict}{reason}{gain_text}.",
-            "The results are the same as without it.",
-            "If its clock is off by more than a second, --seismometer-offset states by how much.",
-        )
-        return [" ".join(lines)]
+        refused = f"Auxiliary seismometer {use.verdict}{reason}{gain_text}."
+        same = "The results are the same as without it."
+        offset = "If its clock is off by more than a second, --seismometer-offset states by how much."
+        return [f"{refused} {same} {offset}"]
     explained = (
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
         f"{with_uncertainty(*use.ground_alone_rad_per_s2_rthz)} to "
@@ -280,12 +274,7 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
     )
     responses = "; ".join(map(_response_text, use.responses))
     sentences = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
-    savings = ", ".join(
-        f"{plain(factor, 3)} ({quantity(name).symbol})"
-        for name, factor in use.saved.items()
-        if factor > _MIN_NAMED_SAVING
-    )
-    if savings:
+    if savings := _factors_text(use.saved, _MIN_NAMED_SAVING, 3):
         sentences.append(f"The seismometer reduces the uncertainties by factors of {savings}.")
     sentences.append(
         f"Clock of the seismometer: {with_uncertainty(*use.delay_s)} s to be added to its times, "
@@ -319,10 +308,7 @@ def _waveform_sentence(information_gain: Mapping[str, Mapping[str, float]]) -> s
 
 
 def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
-    """Sentence on the drag by the data, or on the prior that is used where they do not determine it.
-
-    `fitted` is whether the drag is a parameter of the fit.
-    """
+    """Sentence on the drag (`fitted` if a parameter of the fit) by the data, or on the prior in use."""
     shown, row = quantity("drag_s"), rows.get("drag_s")
     shifts = {"b": drag.relative_shift_b, "c": drag.relative_shift_c}
     changes = " and ".join(
@@ -331,12 +317,14 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
         if name not in rows or rows[name].determined
     )
     moved = f"; it changes {changes}" if changes else ""
+    u_s = drag.of_data_s.standard_uncertainty
+    is_of_data = drag.known_s is None or u_s < drag.known_s.standard_uncertainty
     match drag.finding:
         case DragFinding.SEEN if row is not None and row.verdict is Determinacy.UNDETERMINED:
             return f"{_FINDINGS[drag.finding]}{moved}.".replace("-", "−")
         case DragFinding.SEEN:
             drag_text = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
-        case DragFinding.OPEN if _is_determined_by_data(drag):
+        case DragFinding.OPEN if is_of_data and isfinite(drag.upper_95_s):
             place = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
@@ -355,12 +343,6 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
                 f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
             )
     return f"{_FINDINGS[drag.finding]}: {drag_text}.".replace("-", "−")
-
-
-def _is_determined_by_data(drag: Drag) -> bool:
-    """Whether the data determine the drag better than its prior does."""
-    u_s = drag.of_data_s.standard_uncertainty
-    return isfinite(drag.upper_95_s) and (drag.known_s is None or u_s < drag.known_s.standard_uncertainty)
 
 
 def decay_lines(results: RunResults) -> list[str]:

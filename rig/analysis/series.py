@@ -105,34 +105,23 @@ def _without_limited_means(
     combined: Mapping[str, CombinedValue], table: Sequence[ResultRow]
 ) -> dict[str, CombinedValue]:
     """The combined parameters, in which one that the runs only limit has no mean by any method."""
-    limited = {row.quantity for row in table if row.by_profile}
-    return {
-        name: CombinedValue(
-            value=nan,
-            standard_uncertainty=nan,
-            by_air=nan,
-            degrees_of_freedom=item.degrees_of_freedom,
-            runs=item.runs,
-        )
-        if name in limited
-        else item
-        for name, item in combined.items()
-    }
+    no_mean: dict[str, Any] = dict.fromkeys(
+        ("value", "standard_uncertainty", "within_runs", "between_runs", "p_homogeneous", "by_air"), nan
+    )
+    limited = [row.quantity for row in table if row.by_profile and row.quantity in combined]
+    return {**combined, **{name: replace(combined[name], **no_mean) for name in limited}}
 
 
 def _with_run_sources(
     run_budgets: Sequence[Mapping[str, Budget]], measured: FitResult, rig: RigQuantities
 ) -> tuple[FitResult, RigQuantities]:
-    """The series with sources of its runs' budgets: shared row time and amplitude error, and plane of swing.
-
-    The rotation of the plane of swing is independent in each run and averages down; the non-orthogonality of
-    the axes is common to all runs and does not.
-    """
+    """The series with sources of its runs' budgets: shared row time and amplitude error, plane of swing."""
     by_inputs = dict(measured.by_inputs)
     for source in ("row_time_s", "common_amplitude_rad"):
         if (u := rig.inputs()[source].u) > 0:
             by_inputs[source] = _source_changes(run_budgets, measured.names, source).mean(axis=0) / u
     changes = _source_changes(run_budgets, measured.names, _PLANE)
+    # the rotation is independent in each run and averages down; the axes' non-orthogonality is common to all
     magnitude = np.linalg.norm(changes, axis=0) / len(changes)
     if rig.non_orthogonality_rad.u > 0:
         magnitude = np.abs(changes).mean(axis=0)
@@ -148,11 +137,16 @@ def _with_run_sources(
 
 def _source_changes(run_budgets: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
     """Changes (runs, parameters) by one standard uncertainty of a source; 0 where a run has no such line."""
-    changes = [
-        [sum(line.sensitivity * line.u_source for line in _lines(budget, [name], source)) for name in names]
-        for budget in run_budgets
-    ]
-    return np.array(changes, dtype=np.float64)
+    return np.array(
+        [
+            [
+                sum(line.sensitivity * line.u_source for line in _lines(budget, [name], source))
+                for name in names
+            ]
+            for budget in run_budgets
+        ],
+        dtype=np.float64,
+    )
 
 
 def _lines(budget: Mapping[str, Budget], names: Sequence[str], source: str) -> list[BudgetSource]:
@@ -166,14 +160,6 @@ _Reading = Mapping[str, ValueWithSharedErrors]
 
 def _mean(readings: Sequence[_Reading], name: str) -> ValueWithSharedErrors:
     return over_places([reading[name] for reading in readings])[0]
-
-
-def _reference(settings: InstrumentSettings, glass: Sequence[_Reading]) -> ValueWithSharedErrors | None:
-    if glass:
-        return _mean(glass, "time_s")
-    if settings.reference_time_s is not None and not settings.reference_runs:
-        return ValueWithSharedErrors(settings.reference_time_s, settings.u_reference_time_s)
-    return None
 
 
 def _reference_problem(settings: InstrumentSettings, numbered: Sequence[tuple[int, _Reading]]) -> str:
@@ -226,14 +212,12 @@ def _compared_places(
     description = settings.description()
     places = [reading for number, reading in numbered if reading and number not in settings.reference_runs]
     glass = [reading for number, reading in numbered if reading and number in settings.reference_runs]
-    values: dict[str, Any] = {"kind": description.kind}
+    problem = _reference_problem(settings, numbered)
+    values: dict[str, Any] = {"kind": description.kind, "problem": problem or None}
     if places:
         values |= {name: over_places([item[name] for item in places])[1] for name in ("time_s", "swings")}
-    reference, problem = _reference(settings, glass), _reference_problem(settings, numbered)
-    if reference is None:
-        return InstrumentSeries(**values, problem=f"{problem}: no ratio")
-    values |= {"reference_time_s": reference.estimate, "problem": problem or None}
     if glass:
+        reference = _mean(glass, "time_s")
         standard = (
             ("period on glass", "period_s", description.period_s),
             ("damping time on glass", "time_s", description.glass_time_s),
@@ -244,11 +228,15 @@ def _compared_places(
             if limits is not None
         )
         values["text"] = (f"note: {description.note}",) if description.note else ()
+    elif settings.reference_time_s is not None and not settings.reference_runs:
+        reference = ValueWithSharedErrors(settings.reference_time_s, settings.u_reference_time_s)
+    else:
+        return InstrumentSeries(**values | {"problem": f"{problem}: no ratio"})
     if places:
         values["ratio"] = ratio(_mean(places, "time_s"), reference)
     if places and glass:
         values["ratio_of_swings"] = ratio(_mean(places, "swings"), _mean(glass, "swings"))
-    return InstrumentSeries(**values)
+    return InstrumentSeries(**values, reference_time_s=reference.estimate)
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:

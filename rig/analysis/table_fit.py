@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.digest import cached_sha256
-from processing.arrays import Floats, Ints
+from acquisition.record.digest import cached_sha256, utc
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import MIN_TURNING_POINTS, summarise_decay
@@ -25,7 +24,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.ambient import ambient_warnings, stated_ambient, table_ambient
+from rig.analysis.ambient import ambient_warnings, stated_ambient
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
@@ -103,10 +102,8 @@ def analyse_trajectory(
     if not usable:
         judge_time_unit(path, trajectory)
         count = max((len(turning_points(decay)) for decay in decays), default=0)
-        remedy = trajectory.remedy or (
-            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
-            "--position choose others"
-        )
+        columns = f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}"
+        remedy = trajectory.remedy or f"{columns}; --time and --position choose others"
         raise DataError(
             f"{path}: {count} usable half-cycle{'' if count == 1 else 's'} ({len(half_cycles) - count} more "
             f"are flagged or of other decays), at least {MIN_TURNING_POINTS} are needed: the samples hold no "
@@ -114,7 +111,10 @@ def analyse_trajectory(
             f"{remedy}"
         )
     judge_time_unit(path, trajectory, usable)
-    both = _both_deflections(trajectory.times_ns, across, along, scatter)
+    both = slow_deflections(trajectory.times_ns, along, scatter.u_deflection)
+    if np.isfinite(across).any():
+        u_across = max(scatter.noise, estimate_noise(trajectory.times_ns, across))
+        both = replace(both, x=across, u_x=np.full(len(across), u_across))
     runs = tuple(
         _analyse(path, decay, trajectory, both, scatter, config, laws, seismometer) for decay in usable
     )
@@ -202,7 +202,7 @@ def _analyse(
     unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
     session: dict[str, str] = {}
     if config is not None:
-        ambient = table_ambient(config, None if utc_ns is None else seconds(utc_ns))
+        ambient = stated_ambient(config, None if utc_ns is None else utc(utc_ns))
         run = replace(run, ambient=ambient)
         session = {key: text for key in _SESSION_KEYS if (text := getattr(config.session, key))}
         warnings += ambient_warnings(ambient)
@@ -230,11 +230,8 @@ def _analyse(
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
-    """The decay with the fast mode's part removed from the positions along the swing.
-
-    The axes of a table are not stated, and the line of the swing is not at a right angle to the fast mode.
-    The decay is unchanged where that line is not known at all times.
-    """
+    """The decay with the fast mode's part removed from the positions along the swing."""
+    # where the line of the swing is not known at all times, its angle to the fast mode is not, either
     if followed.problem:
         return followed
     period_s = summarise_decay(turning_points(followed.half_cycles)).period_s.value
@@ -247,28 +244,15 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     return replace(followed, half_cycles=half_cycles_of_blocks(passing), deflections=passing)
 
 
-def _both_deflections(times_ns: Ints, x: Floats, y: Floats, scatter: SampleScatter) -> Deflections:
-    """Deflections along the motion, y, and across it, x; NaN across for a table with one position."""
-    samples = slow_deflections(times_ns, y, scatter.u_deflection)
-    if not np.isfinite(x).any():
-        return samples
-    u_x = np.full(len(x), max(scatter.noise, estimate_noise(times_ns, x)))
-    return replace(samples, x=x, u_x=u_x)
-
-
 def _exact_scale_notes(config: Configuration) -> list[str]:
     """Notes on the scales of angles and of times that a table's budget takes as exact."""
-    lines = []
-    if config.lever is None:
-        lines.append(
-            "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale"
-        )
-    if config.timebase is None or config.timebase.u_camera_rate == 0:
-        lines.append(
-            "the budget takes the table's times as exact; [timebase] u_camera_rate states the relative u of "
-            "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
-        )
-    return lines
+    angles = "the budget takes the table's angles as exact; [lever] u_arm_m states the u of their scale"
+    times = (
+        "the budget takes the table's times as exact; [timebase] u_camera_rate states the relative u of "
+        "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
+    )
+    has_exact_times = config.timebase is None or config.timebase.u_camera_rate == 0
+    return [*([angles] if config.lever is None else []), *([times] if has_exact_times else [])]
 
 
 def separate_decays(half_cycles: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
@@ -277,26 +261,19 @@ def separate_decays(half_cycles: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     A decay begins with the first half-cycle, with one in which the detector saw a release or a kick, and
     where an amplitude is clearly larger than the previous one.
     """
-    decays: list[list[HalfCycle]] = []
+    decays: list[list[HalfCycle]] = [[]] if half_cycles else []
     previous: HalfCycle | None = None
     for half_cycle in half_cycles:
-        is_new = previous is not None and (
-            bool(half_cycle.flags & HalfCycleFlag.START) or _is_pushed(previous, half_cycle)
-        )
-        if not decays or is_new:
-            decays.append([])
-            previous = None
+        if previous is not None:
+            growth = half_cycle.amplitude - previous.amplitude
+            is_pushed = (
+                not half_cycle.flags
+                and half_cycle.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
+                and growth > _MIN_PUSHED_U * hypot(half_cycle.u_amplitude, previous.u_amplitude)
+            )
+            if is_pushed or half_cycle.flags & HalfCycleFlag.START:
+                decays.append([])
+                previous = None
         decays[-1].append(half_cycle)
-        if not half_cycle.flags:
-            previous = half_cycle
+        previous = previous if half_cycle.flags else half_cycle
     return decays
-
-
-def _is_pushed(previous: HalfCycle, half_cycle: HalfCycle) -> bool:
-    """Whether an unflagged half-cycle is clearly larger than the previous unflagged one."""
-    growth = half_cycle.amplitude - previous.amplitude
-    return (
-        not half_cycle.flags
-        and half_cycle.amplitude > _MIN_PUSHED_RATIO * previous.amplitude
-        and growth > _MIN_PUSHED_U * hypot(half_cycle.u_amplitude, previous.u_amplitude)
-    )

@@ -101,11 +101,9 @@ class FollowedPlane:
         return plane.direction_rad(times_ns) if self.along_line else plane.turned_rad(times_ns)
 
     def _errors(self, plane: PlaneOfSwing, times_ns: Ints, amplitude: Floats) -> Floats:
-        """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or the axes.
-
-        An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where
-        the angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
-        """
+        """Errors of amplitudes (n, terms), each by one u of the plane's curve or of the axes."""
+        # an angle wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it; where the
+        # angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta)
         u_curve = plane.u_direction_rad(times_ns) if self.along_line else plane.u_turned_rad(times_ns)
         half_u = 0.5 * np.linalg.norm(u_curve, axis=1)
         angle = self.angle_rad(plane, times_ns)
@@ -180,21 +178,11 @@ def follow_plane(
 ) -> FollowedPlane:
     """Turn half-cycles and deflections into the plane of swing, where that changes anything.
 
-    Parameters
-    ----------
-    swings, deflections
-        Half-cycles as detected in the deflections, which pass once, or three times if they are turned.
-    axes
-        The pendulum's axes, in which the deflections are; None: they are at a right angle.
-    along_line
-        Whether to turn onto the line of the motion itself. Otherwise the axes count as calibrated at the
-        beginning of the decay.
-    balances
-        Balances of the whole decay along axes at a right angle; None: they are made of the deflections.
-
-    Notes
-    -----
-    A rotation that does not matter (`FollowedPlane.matters`) is neglected.
+    Half-cycles are as detected in the deflections, which pass once, or three times if they are turned. `axes`
+    are the pendulum's, in which the deflections are; None: they are at a right angle. With `along_line` the
+    decay is turned onto the line of the motion itself, else the axes count as calibrated at its beginning.
+    `balances` are those of the whole decay along axes at a right angle; None: they are made of the
+    deflections. A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
     axes = axes or _ORTHOGONAL_AXES
     unflagged = [h for h in half_cycles if not h.flags]

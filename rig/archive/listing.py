@@ -9,7 +9,6 @@ import os
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from math import nan
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +21,7 @@ from rig.archive.session_rows import (
     COLUMNS,
     IS_SIMULATED,
     NARROW_COLUMNS,
+    PARAMETERS,
     SHORT_NAMES,
     WIDE_COLUMNS,
     row_columns,
@@ -180,7 +180,6 @@ _SIMULATED = "SIMULATED: "
 _MIN_WIDE_CHARACTERS = 150
 """Width of a terminal that shows `WIDE_COLUMNS`; a narrower one shows `NARROW_COLUMNS`."""
 _ID = "left(sha256, 8) as id"
-_PARAMETERS = ("b", "p", "c", "n")
 _SAMPLE = f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
 
 
@@ -201,18 +200,16 @@ def list_runs(
     default = NARROW_COLUMNS if on_screen and screen_width() < _MIN_WIDE_CHARACTERS else WIDE_COLUMNS
     listed = [_SAMPLE if on_screen and name == "sample" else name for name in (_ID, *default)]
     listed += [] if on_screen else ["camera"]
-    listed += _u_columns([name for name in _PARAMETERS if name in default])
+    listed += _u_columns([name for name in PARAMETERS if name in default])
     names, rows = query_runs(archive, columns.strip() or ", ".join(listed), condition)
     if json_lines:
         for row in rows:
             print_json_line("run", dict(zip(names, row, strict=True)))
         return
     if output is None:
-        table = _table(names, rows)
-        if not columns and default is NARROW_COLUMNS:
-            hint = "; a wider window, --columns, --json and -o show more"
-            table = replace(table, note=f"{table.note}{hint}")
-        print_tables([table])
+        is_narrow = not columns and default is NARROW_COLUMNS
+        hint = "; a wider window, --columns, --json and -o show more" if is_narrow else ""
+        print_tables([_table(names, rows, hint)])
         return
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([names, *(map(_csv_cell, row) for row in rows)])
@@ -235,9 +232,25 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
 
 
 def hash_condition(archive: Path, names: Sequence[str]) -> str:
-    """SQL condition for runs named by the first characters of their SHA-256; without names, for all runs."""
-    runs = (f"'{run}'" for name in names for run in _hashes_of(archive, name))
-    return f"sha256 in ({', '.join(runs)})" if names else "true"
+    """SQL condition for runs named by the first characters of their, or their session's, SHA-256.
+
+    It is that for all runs without names. Raises ConfigurationError for a name that fits none or several.
+    """
+    hashes = list[str]()
+    for name in names:
+        if not re.fullmatch("[0-9a-f]{4,64}", name):
+            raise ConfigurationError(
+                f"{name}: names no run; take 4 or more characters of list's first column"
+            )
+        where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}')"
+        _, runs = query_runs(archive, "sha256, session", where)
+        if not runs:
+            raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
+        is_one_session = len({session for _, session in runs}) == 1 and runs[0][1].startswith(name)
+        if len(runs) > 1 and not is_one_session:
+            raise ConfigurationError(f"{name}: {len(runs)} runs begin so; give more characters")
+        hashes += [f"'{sha256}'" for sha256, _ in runs]
+    return f"sha256 in ({', '.join(hashes)})" if names else "true"
 
 
 def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
@@ -302,30 +315,13 @@ def query_runs(
         return list(result.columns), result.fetchall()
 
 
-def _hashes_of(archive: Path, name: str) -> list[str]:
-    """The SHA-256 of the run, or of the runs of the session, whose hash begins with a name.
-
-    Raises ConfigurationError if it fits none or several.
-    """
-    if not re.fullmatch("[0-9a-f]{4,64}", name):
-        raise ConfigurationError(f"{name}: names no run; take 4 or more characters of list's first column")
-    where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}')"
-    _, runs = query_runs(archive, "sha256, session", where)
-    if not runs:
-        raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
-    is_one_session = len({session for _, session in runs}) == 1 and runs[0][1].startswith(name)
-    if len(runs) > 1 and not is_one_session:
-        raise ConfigurationError(f"{name}: {len(runs)} runs begin so; give more characters")
-    return [sha256 for sha256, _ in runs]
-
-
-def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """Table of runs, with a value and its total u, or its bound, in one cell."""
+def _table(names: Sequence[str], rows: Sequence[Sequence[Any]], hint: str = "") -> Table:
+    """Table of runs, with a value and its total u, or its bound, in one cell; the note ends in a hint."""
     attached = {name for name in _ATTACHED_COLUMNS if _PREFIX.sub("", name, count=1) in names}
     head = [name for name in names if name not in attached]
     by_name = (dict(zip(names, row, strict=True)) for row in rows)
     cells = [[_screen_cell(name, row) for name in head] for row in by_name]
-    return Table("runs", "", head, cells, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
+    return Table("runs", "", head, cells, f"{len(rows)} run{'s' if len(rows) != 1 else ''}{hint}")
 
 
 _PREFIX = re.compile("(u_total|u|lower|upper|verdict)_")
@@ -352,6 +348,6 @@ def _screen_cell(name: str, row: Mapping[str, Any]) -> str:
 
 def _csv_cell(value: Any) -> Any:
     """A value in a CSV file; an unknown value is an empty cell."""
-    if isinstance(value, datetime.datetime | datetime.date):
+    if isinstance(value, datetime.date):
         return value.isoformat()
-    return harmless_text(str(value)) if isinstance(value, str) else value
+    return harmless_text(value) if isinstance(value, str) else value

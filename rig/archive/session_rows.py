@@ -151,10 +151,8 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
     try:
         with RecordReader(path) as reader:
             if reader.truncated:
-                row["state"] = "cut"
-                row["flaw"] = (
-                    "no footer: it is being measured, or was cut short (rig record recover completes it)"
-                )
+                flaw = "no footer: it is being measured, or was cut short (rig record recover completes it)"
+                row |= {"state": "cut", "flaw": flaw}
             elif not reader.is_sound:
                 row |= {"state": "damaged", "flaw": "; ".join(reader.damages) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
@@ -182,19 +180,16 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
 
 def results_row(run: RunResults) -> Row:
     """The columns read from the results of a run."""
-    row: Row = {
-        name: getattr(run, name)
-        for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem")
-    }
+    names = ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem")
+    row: Row = {name: getattr(run, name) for name in names}
     row |= {name: _number(run.number(name).value) for name in ("initial_amplitude", "final_amplitude")}
     row["configuration_sha256"] = run.inputs_sha256.get("configuration.json")
     row["conditions_met"] = all(verdict.ok for verdict in run.conditions) if run.conditions else None
     if run.pendulum is not None:
         row |= {"mass_kg": run.pendulum.mass_kg, "ball_radius_m": run.pendulum.ball_radius_m}
-    fit = run.fits.get(FitMethod.EXACT)
-    if fit is not None:
-        freedom = fit.degrees_of_freedom
-        row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof), "degrees_of_freedom": freedom}
+    if (fit := run.fits.get(FitMethod.EXACT)) is not None:
+        row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof)}
+        row["degrees_of_freedom"] = fit.degrees_of_freedom
     for name in ("mean_period_s", "log_decrement"):
         estimate = run.number(name)
         row |= _estimate(name, estimate) if estimate.value > 0 else {}

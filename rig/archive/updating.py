@@ -69,8 +69,7 @@ def update_archive(archive: Path, folders: Sequence[Path] | None = None, *, read
     roots = sorted(root for root in all_roots if all_roots.isdisjoint(root.parents))
     present, unavailable, unreadable = set[str](), list[Path](), list[Path]()
     sessions, rows = dict[str, str](), list[dict[str, Any]]()
-    read_sessions = read_runs = 0
-    written_s = time.monotonic()
+    read_sessions, read_runs, written_s = 0, 0, time.monotonic()
     for folder, files in (session for root in roots for session in sessions_below(root, unavailable)):
         present.add(str(folder))
         if not read and known.get(str(folder)) == files:
@@ -95,11 +94,12 @@ def update_archive(archive: Path, folders: Sequence[Path] | None = None, *, read
             sessions, rows, written_s = {}, [], time.monotonic()
     for path in unavailable:
         say(f"{path}: is not here or cannot be read; what the archive has of it stays")
-    removed = []
-    for name in known.keys() - present:
-        ancestors = {Path(name), *Path(name).parents}
-        if ancestors.isdisjoint(unavailable) and not ancestors.isdisjoint(roots):
-            removed.append(name)
+    ancestors = {name: {Path(name), *Path(name).parents} for name in known.keys() - present}
+    removed = [
+        name
+        for name, folders_above in ancestors.items()
+        if folders_above.isdisjoint(unavailable) and not folders_above.isdisjoint(roots)
+    ]
     if sessions or removed:
         with open_for_writing(archive) as connection:
             forget_sessions(connection, removed)
@@ -260,17 +260,16 @@ def refit_runs(
         with RecordReader(tasks[0].records[0][0]) as reader:
             recorded_configuration(reader, settings)
     fitted, failed_count = list[Path](), 0
+    outcomes = _on_cluster(refit, tasks, cluster) if cluster else _in_processes(refit, tasks, processes)
     try:
-        for task, problem in (
-            _on_cluster(refit, tasks, cluster) if cluster else _in_processes(refit, tasks, processes)
-        ):
+        for done, (task, problem) in enumerate(outcomes, start=1):
             if problem:
                 failed_count += 1
                 say(problem if str(task.folder) in problem else f"{task.folder}: {problem}")
             else:
                 fitted.append(task.folder)
-            if (len(fitted) + failed_count) % _PROGRESS_INTERVAL == 0:
-                say(f"{len(fitted) + failed_count} of {len(tasks)} sessions")
+            if done % _PROGRESS_INTERVAL == 0:
+                say(f"{done} of {len(tasks)} sessions")
     finally:
         update_archive(archive, fitted)
     print(f"{len(fitted)} sessions fitted again, {failed_count} left as they were")
@@ -280,16 +279,14 @@ def refit_runs(
 def _in_processes(
     work: Work, tasks: Sequence[RefitTask], processes: int | None
 ) -> Iterator[tuple[RefitTask, str]]:
-    """Carry out tasks in processes of this machine; yields each with its problem, empty if it succeeded.
-
-    A process that dies breaks the whole pool; unfinished tasks are then tried again, each in its own process.
-    """
+    """Carry out tasks in processes of this machine; yields each with its problem, empty if it succeeded."""
     # each process is to use one processor: libraries that read this variable start no threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a fork would copy locks held by threads of this process
     context, unfinished = get_context("spawn"), list[RefitTask]()
     with ProcessPoolExecutor(processes, mp_context=context) as pool:
         for task, future in _completed(pool, work, tasks):
+            # a process that dies breaks the whole pool: what is unfinished is tried again, each task alone
             if isinstance(future.exception(), BrokenProcessPool):
                 unfinished.append(task)
             else:
@@ -316,11 +313,7 @@ def _problem(future: Future[str]) -> str:
 
 
 def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterator[tuple[RefitTask, str]]:
-    """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names.
-
-    Raises ConfigurationError if Dask is missing, no scheduler answers, no worker exists, or one runs other
-    code.
-    """
+    """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names."""
     distributed = optional_module("distributed", "--cluster", "distributed", "series")
     try:
         client = distributed.Client(address, timeout="10s", set_as_default=False)

@@ -6,9 +6,10 @@ from rig.report.campaign_page import campaign_tables, decays_table, save_campaig
 from rig.report.drawing import styled
 from rig.report.export import export_session
 from rig.report.html import check_report
-from rig.report.paper_tables import reproduce_paper
-from rig.report.plan import make_plan, plan_table
-from rig.report.planned_run import (
+from rig.report.paper import reproduce_paper
+from rig.report.plan import (
+    make_plan,
+    plan_table,
     planned_contact,
     planned_contact_of_file,
     planned_contact_of_run,

@@ -256,11 +256,8 @@ def _median_and_u(posterior: SeriesPosterior, draws: Floats) -> Estimate:
 
 
 def _energy(posterior: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Floats | None:
-    """Draws of the surface energy (Table 2's form); None if no run has a budget of it.
-
-    It is c times a factor of the apparatus. Inputs that runs share have their draws of the posterior; inputs
-    that move no fitted parameter get new draws. Each input enters once, however many runs there are.
-    """
+    """Draws of the surface energy (Table 2's form); None if no run has a budget of it."""
+    # c times a factor of the apparatus, whose inputs enter once, however many runs there are
     ratios: list[float] = []
     shifts: dict[str, float] = {}
     for run in runs:
@@ -279,6 +276,7 @@ def _energy(posterior: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -
     rng = np.random.default_rng(_SEED)
     log_energy = np.full(len(c), float(np.mean(np.log(ratios))))
     for source, shift in shifts.items():
+        # an input that moves no fitted parameter is not part of the posterior
         level = LatentNumber("shared", source)
         draws = posterior.draws(level) if level in posterior.levels else rng.standard_normal(len(c))
         log_energy += draws * (shift / len(ratios))
@@ -291,6 +289,10 @@ def _runs(
     values, u_values = posterior.run_values(reference_rad)
     names, runs = posterior.model.names, []
     for row, (candidate, run) in enumerate(members):
+        numbers = zip(values[row].tolist(), u_values[row].tolist(), strict=True)
+        together = dict(zip(names, (Estimate(value, u) for value, u in numbers), strict=True))
+        bounded = [name for name in names if _bounded_side(posterior, run.contact, name) is not None]
+        residuals = dict(zip(names, posterior.residuals[row].tolist(), strict=True))
         runs.append(
             CampaignRun(
                 label=run.label,
@@ -298,17 +300,8 @@ def _runs(
                 record=candidate.run.record,
                 sha256=candidate.run.sha256,
                 results_sha256=candidate.results_sha256,
-                together={
-                    name: Estimate(float(values[row, column]), float(u_values[row, column]))
-                    if _bounded_side(posterior, run.contact, name) is None
-                    else NOT_DETERMINED
-                    for column, name in enumerate(names)
-                },
-                residuals={
-                    name: float(posterior.residuals[row, column])
-                    for column, name in enumerate(names)
-                    if name in run.names
-                },
+                together=together | dict.fromkeys(bounded, NOT_DETERMINED),
+                residuals={name: residual for name, residual in residuals.items() if name in run.names},
                 bad=float(posterior.bad[row]),
             )
         )
@@ -322,7 +315,7 @@ def _names(labels: Sequence[str]) -> str:
 def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
     """Warnings of covariates that some runs lack or seem to have in another unit."""
     texts: list[str] = []
-    for covariate in sorted(stated.covariates - {"", ORDER}):
+    for covariate in sorted({effect.covariate for effect in stated.effect} - {"", ORDER}):
         known = {run.label: run.covariates[covariate] for run in runs if covariate in run.covariates}
         texts += filter(None, [other_unit_warning(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
@@ -363,11 +356,9 @@ def _warnings(posterior: SeriesPosterior, without_priors: SeriesPosterior) -> li
 
 
 def _budget(posterior: SeriesPosterior, name: str, contact: str) -> dict[str, float]:
-    """Shares of the variance of a contact's level of a coordinate by source, largest first.
-
-    The part of a shared input or an effect is the variance that would vanish if it were known. The rest
-    belongs to the runs: their own uncertainties and their scatter, which more runs reduce.
-    """
+    """Shares of the variance of a contact's level of a coordinate by source, largest first."""
+    # the part of a shared input or an effect would vanish if it were known; the rest, by the runs' own
+    # uncertainties and their scatter, falls with their number
     draws = posterior.level_draws(contact)[:, posterior.model.names.index(name)]
     centred = draws - posterior.weight @ draws
     rest = float(posterior.weight @ centred**2)

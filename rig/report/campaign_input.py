@@ -96,11 +96,6 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
                 raise ValueError(f"{key}: the same is stated twice")
         return self
 
-    @property
-    def covariates(self) -> set[str]:
-        """All covariates of effects."""
-        return {effect.covariate for effect in self.effect}
-
 
 def read_campaign(path: Path) -> StatedCampaign:
     """Read campaign.toml; raises ConfigurationError with one line for all of its faults."""

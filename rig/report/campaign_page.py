@@ -212,10 +212,7 @@ def _plotted_values(name: str, values: Floats, middle: float) -> Floats:
 
 
 def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
-    """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands.
-
-    A coordinate that every run only bounds has no points, and no panel.
-    """
+    """Figure of each coordinate with an effect, and with points, against its covariate: runs and bands."""
     posterior, results = campaign.posterior, campaign.results
     plots = []
     for effect in posterior.model.effects:

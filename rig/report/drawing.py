@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -29,8 +28,6 @@ _MIN_GAP_STEPS = 5.0
 """Smallest gap at which a line is interrupted, in median steps of x."""
 _MAX_LOW_FROM_ZERO = 0.3
 """An axis begins at zero if the lowest value is below this fraction of the highest."""
-_DIGITS: Final = re.compile(r"(\.\d\d)\d+")
-_EQUAL_MARKS: Final = re.compile(r'<g( clip-path="[^"]*")?>\s*((?:<use [^>]*/>\s*)+)</g>')
 _MIN_LOG_TICKS = 3
 """Fewest ticks of a logarithmic axis; with fewer the axis is linear."""
 
@@ -105,7 +102,7 @@ def svg(drawing: ReportFigure) -> bytes:
     with styled():
         metadata = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
         drawing.figure.savefig(buffer, format="svg", metadata=metadata)
-    return _shorten(buffer.getvalue()).encode()
+    return buffer.getvalue().encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
@@ -114,29 +111,6 @@ def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     with styled():
         drawing.figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()
-
-
-def _shorten(svg_text: str) -> str:
-    """An SVG of half the length: positions to 0.01 pt, one style for equal marks, no indents, short names."""
-    svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda match: _DIGITS.sub(r"\1", match[0]), svg_text)
-    svg_text = _EQUAL_MARKS.sub(_style_once, re.sub(r"\s*\n\s*", "\n", svg_text))
-    # a line of no length is a dot; after a line command the next point needs no command
-    svg_text = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", svg_text)
-    svg_text = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda match: match[0].replace("\nL", ""), svg_text)
-    references = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', svg_text))
-    names = {name: f"i{number:x}" for number, name in enumerate(references)}
-    svg_text = re.sub(r' id="([^"]*)"', lambda match: f' id="{names.get(match[1], "")}"', svg_text)
-    svg_text = re.sub(r'(?<=["(]#)[\w.-]+', lambda match: names[match[0]], svg_text)
-    return svg_text.replace(' id=""', "")
-
-
-def _style_once(match: re.Match[str]) -> str:
-    """A group of marks, with their style at the group if it is the same for all."""
-    styles = set(re.findall(r' style="[^"]*"', match[2]))
-    if len(styles) != 1:
-        return match[0]
-    (style,) = styles
-    return f"<g{match[1] or ''}{style}>{match[2].replace(style, '')}</g>"
 
 
 def plot_dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:

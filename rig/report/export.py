@@ -60,12 +60,9 @@ class ExportData:
 
 
 def _exported_data(source: Path) -> list[ExportData]:
-    """The runs in a folder, a results file or a record, and after them their series, if they make one.
-
-    Results of a record are those next to it, if any; a record has no series. Raises RecordError if a record,
-    or the positions of a table, cannot be read, or if results were made from another record.
-    """
+    """The runs in a folder, a results file or a record, and after them their series, if they make one."""
     if not source.is_dir() and source.suffix != ".json":
+        # results of a record are those next to it, if any
         runs = read_results(source.parent).runs if results_path(source.parent).exists() else ()
         return [_read_run(source, next((run for run in runs if run.record == source.name), None))]
     folder, results = source if source.is_dir() else source.parent, read_results(source)
@@ -91,10 +88,13 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
         if configuration is not None:
             provenance["configuration"] = json.dumps(json.loads(configuration))
         spots, half_cycles = reader.table(SPOT.topic), reader.table(HALF_CYCLE.topic)
-        began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
+        span_ns = reader.numbers.start_ns, reader.numbers.end_ns
+        if len(spots):
+            first_ns, last_ns = spots["time_ns"][[0, -1]].tolist()
+            span_ns = first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
+        began, ended = (utc(time_ns).isoformat() for time_ns in span_ns)
         notes = tuple(reader.doubts())
-        numbers_file = reader.numbers
-        has_damage = CONFIGURATION_NAME in numbers_file.attachments or numbers_file.damages
+        has_damage = CONFIGURATION_NAME in reader.numbers.attachments or reader.numbers.damages
         if configuration is None and has_damage:
             notes = (*notes, "the configuration is damaged and not part of this export")
     provenance["sha256"] = cached_sha256(path)
@@ -105,14 +105,6 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
         )
     columns = {"spots": _fields(spots), "swings": _fields(half_cycles)}
     return ExportData(path.stem, results, provenance, notes, columns, began, ended)
-
-
-def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
-    """UTC of the first and the last frame; without frames of the first and the last message."""
-    if not len(spots):
-        return reader.numbers.start_ns, reader.numbers.end_ns
-    first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
-    return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
 
 
 def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
@@ -132,8 +124,7 @@ def _exported_series(
         provenance["session.sample"] = sample
     for index, (_, run_results) in enumerate(runs):
         provenance[f"runs.{index}"] = f"{run_results.record}, SHA-256 {run_results.sha256}"
-    simulated = sum(bool(run_results.simulated) for _, run_results in runs)
-    if simulated:
+    if simulated := sum(bool(run_results.simulated) for _, run_results in runs):
         provenance["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
     return ExportData("series", series, provenance, notes)
@@ -216,29 +207,19 @@ def latex_tables(folder: Path) -> Mapping[str, str]:
 
 
 def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]) -> Iterator[Path]:
-    """Write the tables of a run or a series; yields their files.
-
-    A CSV file begins with lines after ``#``: notes on missing data and the provenance. In a Parquet file the
-    metadata of schema and fields hold provenance, notes (JSON) and units.
-    """
+    """Write the tables of a run or a series, with notes and provenance in each; yields their files."""
     optional_module("pyarrow", "rig export", "pyarrow", "data")
     from pyarrow import csv, parquet
 
-    lines = [
-        *(f"NOTE: {note}" for note in run.notes),
-        *(f"{n}: {text}" for n, text in run.provenance.items()),
-    ]
-    head = "".join(f"# {' '.join(line.split())}\n" for line in lines).encode()
-    metadata = {
-        b"provenance": json.dumps(dict(run.provenance)).encode(),
-        b"notes": json.dumps(list(run.notes)).encode(),
-    }
+    notes = [f"NOTE: {note}" for note in run.notes]
+    lines = [*notes, *(f"{name}: {text}" for name, text in run.provenance.items())]
+    metadata = {"provenance": json.dumps(dict(run.provenance)), "notes": json.dumps(list(run.notes))}
     for name, table in _tables(run, harmless_text if kind == "csv" else str):
         path = folder / f"{run.name}-{name}.{kind}"
         with atomic_file(path) as temporary:
             if kind == "csv":
                 with temporary.open("xb") as file:
-                    file.write(head)
+                    file.write("".join(f"# {' '.join(line.split())}\n" for line in lines).encode())
                     csv.write_csv(table, file)
             else:
                 table = table.replace_schema_metadata(metadata)
@@ -270,14 +251,7 @@ _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "perc
 
 
 def _write_nexus(path: Path, exported: Sequence[ExportData]) -> None:
-    """Write one file with ``/run_1/{spots,swings,results,provenance}`` and ``/series/{results,provenance}``.
-
-    Field names are the record's. Standard uncertainties ``u_NAME`` are also stored as ``NAME_errors``, which
-    NeXus readers expect. Characters that NeXus does not allow in a name become ``_``. Notes on missing data
-    of the record are in ``/run_1/lacking``.
-
-    Raises ConfigurationError if h5py is not installed.
-    """
+    """Write one file with ``/run_1/{spots,swings,results,provenance}`` and ``/series/{results, ...}``."""
     h5py = optional_module("h5py", "--format hdf5", "h5py", "data")
     # made in memory, because on a full disk HDF5 reports an error for every object that it closes, and may
     # end the process
@@ -340,7 +314,7 @@ def _write_rig(entry: Any, provenance: Mapping[str, str]) -> None:
         sample["description"] = provenance["session.contact_history"]
     if "environment.temperature_c" in provenance:
         sample["temperature"] = float(provenance["environment.temperature_c"])
-        sample["temperature"].attrs["units"] = "degC"
+        _set_unit(sample["temperature"], "°C")
     _group(entry, "user", "NXuser")["name"] = provenance.get("session.operator", "not stated")
 
 
@@ -362,6 +336,7 @@ def _write_columns(entry: Any, name: str, signals: tuple[str, ...], run: ExportD
     for key, values in columns.items():
         field = group.create_dataset(key, data=values, compression="gzip", shuffle=True)
         _set_unit(field, run.unit_of(key))
+    # standard uncertainties have a second name, which NeXus readers expect
     for key in columns:
         if key.startswith("u_") and key[2:] in columns:
             group[f"{key[2:]}_errors"] = group[key]

@@ -1,9 +1,9 @@
 """Parts of a self-contained HTML page, without script or font; its figures; the check of its results."""
 
 import base64
-import html
 import re
 from collections.abc import Callable, Mapping, Sequence
+from html import escape as escape
 from pathlib import Path
 from typing import Final
 
@@ -42,11 +42,6 @@ def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "
         + "\n".join(body)
         + "\n</main></body></html>\n"
     )
-
-
-def escape(text: str) -> str:
-    """Text with the characters of HTML's syntax escaped."""
-    return html.escape(text, quote=True)
 
 
 def heading(text: str, level: int = 2) -> str:

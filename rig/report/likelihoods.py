@@ -15,7 +15,7 @@ from processing.arrays import Floats
 from processing.contact import DRAG
 from processing.contact.laws import AMPLITUDE, DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Determinacy, Estimate
-from processing.fit import BudgetSource, FitMethod
+from processing.fit import FitMethod
 from processing.quantity import PART
 from processing.series import (
     EXPONENT_OF,
@@ -74,8 +74,9 @@ def compress(candidate: CandidateRun, reference_rad: float) -> tuple[CompressedR
     growth = {source: shifts[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
     shared |= growth
     own_covariance, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
-    u_air = _u_air(run, fit)
-    if u_air > 0 and DRAG.key in names:
+    by_air = _own_fractions(run, DRAG.key).get(_AIR, 0.0)
+    if by_air > 0 and DRAG.key in names:
+        u_air = fit.estimate(DRAG.key).standard_uncertainty * sqrt(by_air)
         # the prior knowledge of the drag moves all parameters along the drag's column of the covariance
         drag = names.index(DRAG.key)
         air_shift = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
@@ -140,11 +141,6 @@ def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
     return np.asarray(correlation * np.outer(u, u), dtype=np.float64)
 
 
-def _budget_sources(run: RunResults, name: str) -> Sequence[BudgetSource]:
-    budget = run.budget.get(name)
-    return () if budget is None else budget.sources
-
-
 def _sources(
     run: RunResults, names: Sequence[str], jacobian: Floats
 ) -> tuple[dict[str, Floats], dict[str, float]]:
@@ -152,7 +148,7 @@ def _sources(
     shifts: dict[str, Floats] = {}
     u: dict[str, float] = {}
     for column, name in enumerate(names):
-        for line in _budget_sources(run, name):
+        for line in run.budget[name].sources if name in run.budget else ():
             if isfinite(line.sensitivity):
                 shift = shifts.setdefault(line.source, np.zeros(len(names)))
                 shift += jacobian[:, column] * (line.sensitivity * line.u_source)
@@ -160,16 +156,12 @@ def _sources(
     return shifts, u
 
 
-def _u_air(run: RunResults, fit: Fit) -> float:
-    """The part of the drag's standard uncertainty that comes from the properties of the air."""
-    shares = {
-        line.source: line.share
-        for line in _budget_sources(run, DRAG.key)
-        if line.type == "A" or line.source == _AIR
-    }
-    if not shares.get(_AIR, 0.0) > 0:
-        return 0.0
-    return fit.estimate(DRAG.key).standard_uncertainty * sqrt(shares[_AIR] / sum(shares.values()))
+def _own_fractions(run: RunResults, name: str) -> dict[str, float]:
+    """Fractions of the variance of a fitted parameter by source, without those of the apparatus."""
+    lines = run.budget[name].sources if name in run.budget else ()
+    shares = {line.source: line.share for line in lines if line.type == "A" or line.source == _AIR}
+    total = sum(shares.values())
+    return {source: share / total for source, share in shares.items() if share > 0}
 
 
 def _without_model_discrepancy(
@@ -178,14 +170,11 @@ def _without_model_discrepancy(
     """The covariance without model discrepancy, and the shifts by it, which all runs share."""
     factors, shared = np.ones(len(names)), {}
     for index, name in enumerate(names):
-        sources = _budget_sources(run, name)
-        discrepancy_share = sum(line.share for line in sources if line.source == _DISCREPANCY)
-        total_share = sum(line.share for line in sources if line.type == "A" or line.source == _AIR)
-        if discrepancy_share > 0 and isfinite(total_share):
-            share = min(discrepancy_share / total_share, _MAX_SHARED_FRACTION)
-            factors[index] = (1 - share) ** 0.5
+        fraction = min(_own_fractions(run, name).get(_DISCREPANCY, 0.0), _MAX_SHARED_FRACTION)
+        if fraction > 0:
+            factors[index] = (1 - fraction) ** 0.5
             unit_vector = np.eye(len(names))[index]
-            shared[f"{_DISCREPANCY} of {name}"] = (share * covariance[index, index]) ** 0.5 * unit_vector
+            shared[f"{_DISCREPANCY} of {name}"] = (fraction * covariance[index, index]) ** 0.5 * unit_vector
     return covariance * np.outer(factors, factors), shared
 
 

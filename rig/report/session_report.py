@@ -30,8 +30,6 @@ from rig.analysis import (
 from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure
-from rig.report.figures_contact import instrument_figures
-from rig.report.figures_motion import damped_figure, position_error_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
 from rig.terminal import latex_rows, plain, quantity, translated_file_errors
@@ -96,14 +94,11 @@ def _series(source: ReportSource, series: Series, folder: Path) -> list[str]:
         sentences += series.instrument.lines
     if not (tables or sentences):
         return []
-    body = [html.heading("Series")]
-    if tables:
-        body.append(html.table(tables[0]))
-    body.append(html.remark_list(sentences))
+    first, others = [html.table(table) for table in tables[:1]], [html.table(table) for table in tables[1:]]
     drawings = html.save_figures(
         folder, lambda: [figures_contact.series_figure(series)] if series.fits else []
     )
-    return [*body, *drawings.values(), *(html.table(table) for table in tables[1:])]
+    return [html.heading("Series"), *first, html.remark_list(sentences), *drawings.values(), *others]
 
 
 _ORDER = (
@@ -148,16 +143,15 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     fit = run.results.fits.get(FitMethod.EXACT)
     # for the length of the detail views
     period_s = mean_period(points) if len(points) > 1 else _DEFAULT_PERIOD_S
-    period_s = period_s if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
         drawings += figures_motion.motion_figures(motion, period_s)
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and len(points) and not run.results.fits:
-        drawings.append(damped_figure(run.results, motion.unit))
+        drawings.append(figures_motion.damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
-        drawings.append(position_error_figure(run.results.position_errors))
+        drawings.append(figures_motion.position_error_figure(run.results.position_errors))
     if run.results.instrument is not None or run.is_table:
         # numbers of the paper's figures mean nothing for other pendulums
         drawings = [
@@ -165,7 +159,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             for figure in drawings
         ]
     if run.results.instrument is not None:
-        drawings += instrument_figures(run.results, points)
+        drawings += figures_contact.instrument_figures(run.results, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum
@@ -239,33 +233,27 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
     quoted, quoted_runs = _quoted_results(source)
     body = []
     if any(data.results.simulated for data in source.runs):
-        body.append(
-            html.warning("SIMULATED: every number comes from the simulated rig; nothing was measured.")
-        )
+        body = [html.warning("SIMULATED: every number comes from the simulated rig; nothing was measured.")]
     first = [html.verdict_list(_verdict(source))]
     if quoted.contact:
-        first.append(html.headline_values(_headlines(quoted, quoted.budget)))
         origin = "combined over the runs" if quoted is series else f"of {quoted_runs[0].title}"
-        first.append(
-            html.paragraph(
-                f"Exact fit {origin}, value ± standard uncertainty: of swings and apparatus together where "
-                "the main sources are named, otherwise of the swings alone.",
-                "note",
-            )
+        note = (
+            f"Exact fit {origin}, value ± standard uncertainty: of swings and apparatus together where "
+            "the main sources are named, otherwise of the swings alone."
         )
+        first += [html.headline_values(_headlines(quoted, quoted.budget)), html.paragraph(note, "note")]
     if run.instrument is not None:
         values = headline(run, None if series is None else series.instrument)
-        first.append(html.headline_values(values))
-        first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
+        note = "Value ± standard uncertainty of the swings."
+        first += [html.headline_values(values), html.paragraph(note, "note")]
     # seen without scrolling: two columns, verdict and decay
     body.append(f'<div class="first"><div>{"".join(first)}</div><div>{decay}</div></div>')
-    body.append(html.heading("Summary"))
-    body.append(html.two_columns(_circumstances(source)))
+    body += [html.heading("Summary"), html.two_columns(_circumstances(source))]
     for data in source.runs:
         body.append(html.paragraph(_run_sentence(data)))
         if data.results.problem:
-            body.append(html.warning(f"No fit: {data.results.problem}"))
-            body.append(html.remark_list(decay_lines(data.results)))
+            problem = html.warning(f"No fit: {data.results.problem}")
+            body += [problem, html.remark_list(decay_lines(data.results))]
     if len(source.runs) == 1:
         body.append(html.remark_list(_notes_of(source.runs[0])))
     return body + (_text_to_copy(source, quoted, quoted_runs) if quoted.contact else [])
@@ -290,11 +278,10 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     failures = dict.fromkeys(condition.name for condition in conditions if not condition.ok)
     if failures:
         lines.append((f"Conditions NOT met: {', '.join(failures)}", "bad"))
+    elif names := ", ".join(dict.fromkeys(condition.name for condition in conditions if condition.remedy)):
+        lines.append((f"Conditions met, with a warning of {names}", "good"))
     elif conditions:
-        names = ", ".join(dict.fromkeys(condition.name for condition in conditions if condition.remedy))
-        lines.append(
-            (f"Conditions met, with a warning of {names}" if names else "All conditions met", "good")
-        )
+        lines.append(("All conditions met", "good"))
     return lines
 
 
@@ -332,37 +319,32 @@ def _duration_text(run: RunData) -> str:
 
 def _ambient_conditions(run: RunData) -> str:
     """The ambient conditions of a run, in words."""
-    ambient = run.results.ambient
-    texts = []
-    for name, value in ({} if ambient is None else ambient.known()).items():
-        display = quantity(name)
-        texts.append(f"{display.name} {plain(value * display.factor, 4)} {display.unit}")
-    return ", ".join(texts)
+    known = {} if run.results.ambient is None else run.results.ambient.known()
+    shown = [(quantity(name), value) for name, value in known.items()]
+    return ", ".join(f"{form.name} {plain(value * form.factor, 4)} {form.unit}" for form, value in shown)
 
 
 def _headlines(results: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
     """Labels and values; a label names the dominant source if the apparatus contributes to u."""
-    headlines = []
-    for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)):
-        if row := results.rows.get(name):
-            sources = main_sources(row, budget)
-            headlines.append((named(row.quantity) + (f" (u: {sources})" if sources else ""), row.text))
-    return headlines
+    names = (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True))
+    rows = [results.rows[name] for name in names if name in results.rows]
+    sources = [main_sources(row, budget) for row in rows]
+    labels = [named(row.quantity) + (u and f" (u: {u})") for row, u in zip(rows, sources, strict=True)]
+    return [(label, row.text) for label, row in zip(labels, rows, strict=True)]
 
 
 def _text_to_copy(source: ReportSource, results: RowsByName, runs: Sequence[RunData]) -> list[str]:
     """A sentence with the results of `runs` and the reference to cite, and a row for LaTeX."""
     rows = [results.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in results.rows]
-    first = source.runs[0]
     count = f"{len(runs)} runs" if len(runs) > 1 else "one run"
     half_cycles = sum(run.results.half_cycles for run in runs)
-    version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
+    program = "optical-pendulum-rig"
+    version = source.runs[0].provenance.get("versions", {}).get(program, "")
     simulated = "SIMULATED: " if any(run.results.simulated for run in runs) else ""
-    values = ", ".join(row.equation for row in rows)
     text = (
-        f"{simulated}From {count} with {half_cycles} half-cycles: {values} (standard uncertainties of "
-        "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
-        f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {_PAPER})."
+        f"{simulated}From {count} with {half_cycles} half-cycles: {', '.join(row.equation for row in rows)} "
+        "(standard uncertainties of swings and apparatus together, as far as they are stated, or 95 % "
+        f"limits; exact fit by {f'{program} {version}'.rstrip()} of the laws of {_PAPER})."
     )
     head = [quantity(row.quantity).label for row in rows]
     return [

@@ -125,11 +125,15 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         file = {"record": path.name, **_hashes(results)}
         provenance: dict[str, Mapping[str, str]] = {"file": file, **reader.metadata}
         configuration = reader.attachments.get(CONFIGURATION_NAME)
-        rate = _clock_rate(reader, notes)
+        rate, began_ns = 1.0, int(spots["time_ns"][0]) if len(spots) else 0
+        try:
+            rate = clock_rate_of(recorded_configuration(reader))
+        except RecordError as error:
+            notes.append(f"times are the camera's own: {error}")
         if len(spots):
-            file["began"] = f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC"
+            file["began"] = f"{reader.utc(began_ns):%Y-%m-%d %H:%M:%S} UTC"
         for note in reader.notes():
-            since_ns = note.time_ns - int(spots["time_ns"][0]) if len(spots) else 0
+            since_ns = note.time_ns - began_ns if len(spots) else 0
             notes.append(f"noted at {since_ns * 1e-9 * rate:.1f} s, {note.event.text}")
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != cached_sha256(path):
@@ -137,7 +141,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if configuration is not None:
         simulated = RecordedCamera.from_metadata(provenance).simulated
         provenance["configuration"] = configuration_texts(json.loads(configuration), simulated=simulated)
-    first_ns = results.stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
+    first_ns = results.stored.first_ns or began_ns
     unit = DisplayUnit(deflections.unit.shown, deflections.unit.shown_size)
     if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
         unit = DisplayUnit("deg", DEGREE_RAD)
@@ -154,19 +158,8 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
 
 def _hashes(run: RunResults) -> dict[str, str]:
     """SHA-256 of the record or table of a run, and of its other inputs, by name."""
-    return {
-        "sha256": run.sha256,
-        **{f"sha256 of {name}": sha256 for name, sha256 in run.inputs_sha256.items()},
-    }
-
-
-def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
-    """True seconds per second of the camera's clock, as used by the fits."""
-    try:
-        return clock_rate_of(recorded_configuration(reader))
-    except RecordError as error:
-        notes.append(f"times are the camera's own: {error}")
-        return 1.0
+    others = {f"sha256 of {name}": sha256 for name, sha256 in run.inputs_sha256.items()}
+    return {"sha256": run.sha256, **others}
 
 
 def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> RecordedPicture | None:

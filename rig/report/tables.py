@@ -21,7 +21,7 @@ from rig.analysis import (
     parameter_table,
     quality_table,
 )
-from rig.terminal import NOT_KNOWN, SOURCES, Table, Verdict, decimals, plain, quantity, with_uncertainty
+from rig.terminal import NOT_KNOWN, SOURCES, Table, decimals, plain, quantity, with_uncertainty
 
 _MIN_LISTED_SHARE = 0.005
 """Fraction of the variance below which sources are summed in one line."""
@@ -31,15 +31,10 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
     """GUM budgets of all quantities, largest contribution first; an undetermined quantity has its bound."""
     lines = []
     for key, item in budget.items():
-        display, row = quantity(key), known.get(key)
-        text = display.text(item.value, item.standard_uncertainty) if row is None else row.text
-        band = row.interval_text if row is not None and row.determined else ""
-        head = [display.label, text, band]
-        small = []
-        for line in item.sources:
-            if line.share < _MIN_LISTED_SHARE:
-                small.append(line)
-                continue
+        display, row = quantity(key), known[key]
+        head = [display.label, row.text, row.interval_text if row.determined else ""]
+        small = [line for line in item.sources if line.share < _MIN_LISTED_SHARE]
+        for line in (line for line in item.sources if line not in small):
             source = SOURCES.get(line.source, line.source)
             contribution = _contribution_text(line.contribution * display.factor)
             lines.append([*head, source, line.type, contribution, f"{100 * line.share:.1f} %"])
@@ -67,18 +62,18 @@ def series_table(series: Series) -> Table:
     lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     for name in exact or asymptotic:
-        display, row = quantity(name), series.rows.get(name)
-        item = asymptotic.get(name)
-        between = getattr(exact.get(name), "between_runs", math.nan) * display.factor
-        is_determined = row is None or row.determined
-        texts = [
-            display.label,
-            "" if row is None else row.text,
-            "" if row is None else row.interval_text,
-            plain(between, 2) if between else "none seen",
-            display.text(*item.estimate) if is_determined and item is not None else "",
-        ]
-        lines.append(texts)
+        display, row, item = quantity(name), series.rows.get(name), asymptotic.get(name)
+        between = exact[name].between_runs * display.factor if name in exact else math.nan
+        texts = ["", ""] if row is None else [row.text, row.interval_text]
+        is_shown = item is not None and (row is None or row.determined)
+        lines.append(
+            [
+                display.label,
+                *texts,
+                plain(between, 2) if between else "none seen",
+                display.text(*item.estimate) if is_shown and item is not None else "",
+            ]
+        )
     return Table(
         "series", "The series",
         ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading), lines,
@@ -116,15 +111,12 @@ def series_tables(series: Series) -> list[Table]:
 
 def conditions_table(results: RunResults) -> Table:
     """The conditions of the run against their limits."""
-    rows = [(v.name, _verdict_text(v), v.measured, v.limit, v.reason) for v in results.conditions]
+    rows = []
+    for verdict in results.conditions:
+        judged = ("warning" if verdict.remedy else "ok") if verdict.ok else "NOT OK"
+        rows.append((verdict.name, judged, verdict.measured, verdict.limit, verdict.reason))
     head = ("condition", "verdict", "measured", "limit", "reason")
     return Table("conditions", "Conditions of the run", head, rows)
-
-
-def _verdict_text(verdict: Verdict) -> str:
-    if not verdict.ok:
-        return "NOT OK"
-    return "warning" if verdict.remedy else "ok"
 
 
 _THEORIES = ("JKR", "Maugis-Dugdale", "DMT")

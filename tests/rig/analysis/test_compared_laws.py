@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from processing.decay_summary import Periods
-from processing.errors import ConfigurationError
 from rig.analysis import compared_laws
 from rig.analysis.results import LawMoments, ModelFreeMoments
 from rig.analysis.table_fit import _exact_scale_notes
@@ -106,10 +105,3 @@ def test_the_smooth_curve_of_the_periods_smooths_and_heeds_their_uncertainties()
     # 18 free numbers would leave sqrt(18 / 201) of the noise
     assert np.sqrt(np.mean(off**2)) < 0.3
     assert abs(off[105]) < 0.5
-
-
-def test_an_unknown_law_is_named_with_those_that_there_are(measured_series: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"--law hertz: no such law; there are paper, masing, .*none and all"
-    ):
-        fit_records([measured_series / "run-1.mcap"], tmp_path / "out", (), ["hertz"])

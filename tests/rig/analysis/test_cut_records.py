@@ -29,7 +29,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_cut_record_is_named_with_its_remedy(
+def test_a_cut_record_is_named_with_its_remedy_and_a_recovered_one_is_not(
     cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By a fit and a view; a replay has a test of its own."""
@@ -43,15 +43,11 @@ def test_a_cut_record_is_named_with_its_remedy(
             f"was cut short (it has no ending); its complete part is used, rig record recover {cut}" in joined
         )
     assert sorted(path.name for path in cut.parent.iterdir()) == ["run-1.mcap", "whole.mcap"]
-
-
-def test_a_recovered_record_is_not(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    whole = tmp_path / "recovered.mcap"
-    recover(cut, whole)
-    replay_record(whole, None, retrack=False, overrides=[])
-    said = capsys.readouterr()
-    assert "cut short" not in said.out + said.err
-    assert "frames" in said.out
+    recover(cut, tmp_path / "recovered.mcap")
+    replay_record(tmp_path / "recovered.mcap", None, retrack=False, overrides=[])
+    replayed = capsys.readouterr()
+    assert "cut short" not in replayed.out + replayed.err
+    assert "frames" in replayed.out
 
 
 def test_resume_looks_at_the_records_that_were_complete(

@@ -87,21 +87,14 @@ def check_report_of_a_damping(folder: Path, found: dict[str, Any]) -> None:
 def test_two_balls_from_frames(tmp_path: Path) -> None:
     """The full model with half the load on each ball; truth within four standard uncertainties."""
     truth = {"b": 0.08, "c": 2e-6}
-    status, results = measure(
-        "two_ball",
-        tmp_path / "two",
-        *(f"simulation.contact.{name}={value}" for name, value in truth.items()),
-        "session.final_amplitude_arcsec=15.0",
-        "simulation.sensor.width_px=160",
-        "camera.frame_rate_hz=50",
-        "view.mode=none",
-    )
+    words = ["session.final_amplitude_arcsec=15.0", "simulation.sensor.width_px=160"]
+    words += [f"simulation.contact.{name}={value}" for name, value in truth.items()]
+    status, results = measure("two_ball", tmp_path, *words, "camera.frame_rate_hz=50", "view.mode=none")
     assert status == 0
     run = results["runs"][0]
     assert run["pendulum"]["mass_kg"] == pytest.approx(0.6)
     (angle,) = [row for row in run["table"] if row["quantity"] == "contact_angle_rad"]
-    angle_arcmin = angle["value"] * 10800 / math.pi
-    assert 46 < angle_arcmin < 47.5
+    assert 46 < angle["value"] * 10800 / math.pi < 47.5
     for name, value in truth.items():
         found = run["fits"]["exact"][name]
         assert abs(found["value"] - value) < 4 * found["standard_uncertainty"], name
@@ -135,12 +128,12 @@ def decaying(
     rng = np.random.default_rng([round(10 * tau_s), seed])
     falling = 6.9 * np.exp(-time_s / tau_s) if envelope is None else envelope(time_s)
     swing = falling * np.cos(2.0 * math.pi * time_s / 1.4)
-    angle = 0.3 + turning_rad_per_s * time_s
-    x, y = (swing * part + 1e-3 * rng.standard_normal(len(swing)) for part in (np.sin(angle), np.cos(angle)))
-    if turning_rad_per_s == 0.0:
-        y /= math.cos(0.3)
-    columns = (time_s, y) if turning_rad_per_s == 0.0 else (time_s, x, y)
-    rows = np.column_stack(columns)
+    columns = [swing]
+    if turning_rad_per_s:
+        angle = 0.3 + turning_rad_per_s * time_s
+        columns = [swing * np.sin(angle), swing * np.cos(angle)]
+    seen = (column + 1e-3 * rng.standard_normal(len(swing)) for column in columns)
+    rows = np.column_stack([time_s, *seen])
     return [",".join([*filter(None, [name]), *(f"{value:.6f}" for value in row)]) for row in rows]
 
 
@@ -243,7 +236,7 @@ def test_the_scale_that_places_share_is_in_their_mean_and_not_in_their_ratio(tmp
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
-        ("reference_runs = [7]", "there is no run 7, only 1, 2, 3"),
+        ("reference_runs = [7]\nreference_time_s = 250", "there is no run 7, only 1, 2, 3"),
         ("reference_runs = [1]\nstart_amplitude_deg = 8.0", "run 1 has no damping time"),
         ("", "no reference was measured"),
     ],
@@ -253,6 +246,7 @@ def test_a_ratio_that_cannot_be_had_is_said(
 ) -> None:
     table = table_of_places(("1", "2", "3"), (20.0, 12.0, 13.0))
     found = fitted(tmp_path, table, f'kind = "koenig"\n{stated}')
+    assert "ratio" not in found["series"]["instrument"]
     assert words in found["series"]["instrument"]["problem"]
     assert words in " ".join(capsys.readouterr().out.split())
 
@@ -308,17 +302,11 @@ def test_a_plane_that_turns_in_a_table_of_two_axes(tmp_path: Path, kind: str, ra
 
 @pytest.mark.parametrize(
     ("override", "words"),
-    [
-        ("instrument.kind=koening", "instrument.kind"),
-        ("instrument.end_amplitude_deg=7.0", "must be below"),
-        ("instrument.reference_runs=[0]", "runs count from 1"),
-        ("instrument.mass=0.2", "did you mean mass_kg"),
-    ],
+    [("end_amplitude_deg=7.0", "must be below"), ("reference_runs=[0]", "runs count from 1")],
 )
-def test_wrong_settings_are_one_line(override: str, words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words.replace(".", r"\.")) as error:
-        load_configuration(CONFIGS / "instruments" / "koenig.toml", [override])
-    assert "\n" not in str(error.value)
+def test_wrong_settings_are_said(override: str, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        load_configuration(CONFIGS / "instruments" / "koenig.toml", [f"instrument.{override}"])
 
 
 @pytest.mark.parametrize(("first", "last", "windows"), [(7, 37, 15), (46, 205, 26)])

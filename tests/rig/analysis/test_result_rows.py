@@ -231,10 +231,8 @@ def test_rows_are_found_by_name_and_by_symbol() -> None:
     with pytest.raises(ConfigurationError, match=r"'bb': no such result; there are period0_s"):
         session["bb"]
     of_series = replace(row, run="series")
-    together = replace(session, series=Series(table=(of_series,)))
-    assert together["T0"] is of_series
-    assert repr(session).splitlines()[-1] == "  T₀ = 4.000 ± 0.020 s"
-    assert len(repr(session).splitlines()) == 3
+    assert replace(session, series=Series(table=(of_series,)))["T0"] is of_series
+    assert repr(session).splitlines()[2:] == ["  T₀ = 4.000 ± 0.020 s"]
 
 
 def test_with_adhesion_the_whole_uncertainty_is_that_of_the_apparatus_too() -> None:
@@ -276,7 +274,7 @@ _RUN = RunResults(
 def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_where_asked(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, verbose: bool
 ) -> None:
-    caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.screen")
+    caplog.set_level(logging.INFO if verbose else logging.WARNING, logger="rig.analysis.fit_tables")
     met = Verdict("lost spots", ok=True, measured="0 %", limit="1 %")
     wished = Verdict("beam", ok=True, reason="it is wide", remedy="focus it", measured="9 px", limit="12 px")
     failed = Verdict("end", ok=False, reason="it was cut", remedy="measure again", measured="", limit="whole")
@@ -303,7 +301,8 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
     assert "< 6.1 × 10⁻⁸ (95 %)" in bound
 
 
-def test_what_is_not_determined_has_no_value_by_any_method() -> None:
+def test_the_tables_of_a_run_have_bounds_per_cent_whole_numbers_and_the_one_mean_period() -> None:
+    """What is not determined has no value by any method."""
     table = parameter_table(_RUN)
     rows = {row[0]: row[1:] for row in table.shown}
     assert table.head == ("", "value", "unit", "u of the swings", "Eqs. 5 and 6")
@@ -311,28 +310,14 @@ def test_what_is_not_determined_has_no_value_by_any_method() -> None:
     assert rows["σ (Table 2's form)"][0] == "< 183 (95 %)"
     assert "±" in rows["b"][0]
     assert "±" in rows["b"][3]
-
-
-def test_relative_errors_are_in_per_cent_and_a_count_is_a_whole_number() -> None:
-    rows = {row[0]: row[1:] for row in quality_table(_RUN).shown}
-    assert rows["ARAE of the amplitudes, Eq. 8"] == ["–", "1.20", "%"]
-    assert rows["degrees of freedom"] == ["0", "58", ""]
-
-
-def test_the_mean_period_is_one_number_everywhere() -> None:
     # the second of a free-running clock is known to some 60 ppm, the times of the half-cycles far better
     period = plain_row("mean_period_s", Estimate(4.16631, 0.0088), "run-1", "decay")
-    by_times = replace(_RUN.fits["exact"], mean_period_s=Estimate(4.158322870, 3.1e-7))
-    table = quality_table(replace(_RUN, table=(*_RUN.table, period), fits={"exact": by_times}))
-    (shown,) = [row for row in table.shown if row[0] == "mean period of the run"]
-    assert shown == ["mean period of the run", period.text, "s"]
-
-
-def test_a_fit_that_only_one_method_made_has_empty_cells_for_the_other() -> None:
-    fits = {"exact": _RUN.fits["exact"], "another": Fit(parameters={"p": Estimate(0.9, 0.01)})}
-    table = parameter_table(replace(_RUN, fits=fits))
-    assert table.head[-1] == "another"
-    assert {row[0]: row[-1] for row in table.shown}["b"] == ""
+    exact = replace(_RUN.fits["exact"], mean_period_s=Estimate(4.158322870, 3.1e-7))
+    run = replace(_RUN, table=(*_RUN.table, period), fits={**_RUN.fits, "exact": exact})
+    rows = {row[0]: row[1:] for row in quality_table(run).shown}
+    assert rows["mean period of the run"] == [period.text, period.text, "s"]
+    assert rows["ARAE of the amplitudes, Eq. 8"] == ["–", "1.20", "%"]
+    assert rows["degrees of freedom"] == ["0", "58", ""]
 
 
 def test_a_run_without_half_cycles_says_so(capsys: pytest.CaptureFixture[str]) -> None:

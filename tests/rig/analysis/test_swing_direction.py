@@ -31,10 +31,8 @@ def test_a_run_of_a_film_without_a_lever_names_the_direction_and_what_to_state(t
     again = rig("run", config, "-o", tmp_path / "again", "--force", "--set", stated[1])
     (run,) = read_results(tmp_path / "again").runs
     assert run.half_cycles > 8, again.stderr
-    assert (
-        abs(run.number("mean_period_s").value - PERIOD_S)
-        < 4 * run.number("mean_period_s").standard_uncertainty
-    )
+    value, u = run["mean_period_s"]
+    assert abs(value - PERIOD_S) < 4 * u
     replayed = rig("replay", tmp_path / "run" / "run-1.mcap", "--set", stated[1])
     assert re.search(r"\d\d half-cycles", replayed.stdout), replayed.stderr
 
@@ -43,11 +41,10 @@ def test_a_run_of_a_film_without_a_lever_names_the_direction_and_what_to_state(t
     ("ratio", "half_cycles", "axes", "words"),
     [
         (40.0, 0, None, "axes.slow_angle_rad=1.5708"),
-        (40.0, 0, Axes(slow_angle_rad=1.57), "axes.slow_angle_rad=-0.00079633"),
+        (400.0, 0, Axes(slow_angle_rad=1.57), "axes.slow_angle_rad=-0.00079633"),
         (40.0, 0, Axes(slow_angle_rad=-3.0), "axes.slow_angle_rad=-1.4292"),
         (40.0, 9, None, ""),
         (0.5, 0, None, ""),
-        (0.0, 0, None, ""),
     ],
 )
 def test_it_is_said_of_a_swing_across_that_gives_nothing(

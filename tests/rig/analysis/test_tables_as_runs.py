@@ -74,17 +74,6 @@ def test_two_tables_are_compared_by_period_and_decrement(fitted: Path) -> None:
     assert [line.split()[0] for line in lines] == ["brass/brass", "brass/brass-decay-2", "steel/steel"]
 
 
-def test_the_archive_lists_its_decays(fitted: Path, tmp_path: Path) -> None:
-    archive = tmp_path / "archive"
-    assert rig("archive", "add", fitted, "--archive", archive).returncode == 0
-    columns = "run,state,mean_period_s,log_decrement,amplitude_unit"
-    done = rig("archive", "list", "--archive", archive, "--columns", columns)
-    assert done.returncode == 0, done.stderr
-    found = {line.split()[0]: line for line in done.stdout.splitlines()[1:4]}
-    assert set(found) == {"brass", "brass-decay-2", "steel"}
-    assert all(" whole " in line and line.rstrip().endswith("mm") for line in found.values())
-
-
 def test_a_decay_without_turning_points_of_its_kind_has_a_report(tmp_path: Path) -> None:
     """Twenty rows a swing are too few for Persoz's pendulum: the page stopped with an error of an index."""
     time_s = np.arange(1200) / 20

@@ -179,7 +179,7 @@ def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Pat
 def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
     sessions: Path, archive: Path
 ) -> None:
-    """A folder of results, made by rig fit -o, whose record was removed and measured again elsewhere."""
+    """Results made by rig fit -o, whose record was removed and measured again elsewhere."""
     series = sessions / "series"
     tree = json.loads((series / "results.json").read_text())
     tree["runs"] = [tree["runs"][0] | {"record": str(series / "run-1.mcap"), "sha256": "0" * 64}]
@@ -251,13 +251,10 @@ def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
     assert "text: cannot be used" in rig("archive", "list", "--archive", tmp_path / "text").stderr
     in_no_folder = rig("archive", "add", sessions, "--archive", tmp_path / "none" / "a.duckdb").stderr
     assert "none is no folder that may be written" in in_no_folder
-
-
-def test_a_folder_whose_name_is_no_text_is_refused_for_that(sessions: Path, tmp_path: Path) -> None:
-    """The message spoke of a condition, which nobody had stated."""
-    folder = sessions.rename(os.fsdecode(bytes(tmp_path) + b"/caf\xe9"))
+    # the message spoke of a condition, which nobody had stated
+    no_text = sessions.rename(os.fsdecode(bytes(tmp_path) + b"/caf\xe9"))
     with pytest.raises(RecordError, match=r"a\.duckdb: cannot be written: .*surrogate"):
-        add_folders(tmp_path / "a.duckdb", [folder])
+        add_folders(tmp_path / "a.duckdb", [no_text])
 
 
 def test_an_archive_of_another_version_is_made_again_from_its_folders(archive: Path) -> None:
@@ -317,27 +314,11 @@ def test_an_update_that_is_killed_costs_an_update(sessions: Path, archive: Path)
     assert "6 unchanged" in update_archive(archive)
 
 
-ADDS = """
-import os, sys
-from pathlib import Path
-from rig.archive import add_folders
-archive, *folders = map(Path, sys.argv[1:])
-adding = []
-for folder in folders:
-    adding.append(os.fork())
-    if not adding[-1]:
-        add_folders(archive, [folder])
-        os._exit(0)
-sys.exit(max(os.waitpid(process, 0)[1] for process in adding))
-"""
-"""Adds each folder to an archive in a process of its own, all at once."""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="forks")
 def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive.duckdb"
-    words = [sys.executable, "-c", ADDS, str(archive), str(sessions / "series"), str(sessions / "deeper")]
-    subprocess.run(words, cwd=ROOT, check=True)
+    words = [sys.executable, "-m", "rig", "archive", "add", "--archive", archive]
+    adding = [subprocess.Popen([*words, sessions / name], cwd=ROOT) for name in ("series", "deeper")]
+    assert [process.wait(60) for process in adding] == [0, 0]
     assert len(rows(archive)) == 3
     assert update_archive(archive).startswith("0 sessions read (0 runs), 2 unchanged")
 
@@ -361,20 +342,17 @@ def test_an_archive_that_is_being_made_is_never_found_half_made(
     assert [path.name for path in tmp_path.iterdir()] == [archive.name]
 
 
-def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
+def test_numbers_are_kept_to_the_last_digit_and_a_bound_of_zero_is_listed_as_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     values = [0.1, 1 / 3, 6.02214076e23, 5e-324, 1.7976931348623157e308, -2.5e-9]
+    bound = {"verdict_c": "upper bound", "upper_c": 0.0}
     with open_for_writing(tmp_path / "archive.duckdb") as connection:
-        made = [{"sha256": f"{k}", "folder": "f", "b": value} for k, value in enumerate(values)]
+        made = [{"sha256": f"{k}", "folder": "f", "b": value} | bound for k, value in enumerate(values)]
         write_sessions(connection, {"f": ""}, made)
     assert [row["b"] for row in rows(tmp_path / "archive.duckdb", "order by sha256")] == values
-
-
-def test_a_bound_of_zero_is_listed_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    row = {"folder": "/runs", "sha256": "0" * 64, "verdict_c": "upper bound", "upper_c": 0.0}
-    with open_for_writing(tmp_path / "a.duckdb") as connection:
-        write_sessions(connection, {"/runs": ""}, [row])
-    list_runs(tmp_path / "a.duckdb", "", "c, verdict_c, upper_c", None)
-    assert "< 0 (95 %)" in capsys.readouterr().out
+    list_runs(tmp_path / "archive.duckdb", "", "c, verdict_c, upper_c", None)
+    assert capsys.readouterr().out.count("< 0 (95 %)") == len(values)
 
 
 def test_runs_are_listed_as_they_were_measured(tmp_path: Path) -> None:
@@ -420,9 +398,8 @@ def test_runs_are_found_by_words(kept: Path) -> None:
     assert [len(find_runs(kept, words, 2).shown) for words in ("it's", "")] == [0, 2]
 
 
-def test_a_cell_has_the_whole_uncertainty_and_one_run_is_no_plural() -> None:
+def test_a_cell_has_the_whole_uncertainty() -> None:
     names = ("b", "u_b", "u_total_b", "c", "verdict_c", "upper_c", "temperature_c")
-    made = [0.0312, 0.001, 0.004, None, "upper bound", None, 21.53841]
-    one, two = (listing._table(names, rows) for rows in ([made], [made, made]))
+    one = listing._table(names, [[0.0312, 0.001, 0.004, None, "upper bound", None, 21.53841]])
     assert (one.head, one.shown) == (["b", "c", "temperature_c"], [["0.0312 ± 0.0040", NOT_KNOWN, "21.538"]])
-    assert (one.note, two.note) == ("1 run", "2 runs")
+    assert one.note == "1 run"

@@ -85,19 +85,13 @@ def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
         found = fit_model(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
         shared = found.results.shared["arm_m"]
         assert shared.standard_uncertainty == pytest.approx(1.0, abs=0.12)
-        c, shares = found.results.contacts["monday"]["c"], found.results.budgets["monday"]["c"]
+        values, shares = found.results.contacts["monday"], found.results.budgets["monday"]["c"]
         assert sum(shares.values()) == pytest.approx(1.0)
         assert [*shares.values()] == sorted(shares.values(), reverse=True)
-        assert shares["arm_m"] ** 0.5 * c.standard_uncertainty / c.value == pytest.approx(U_ARM_M, rel=0.25)
-
-
-def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None:
-    folders = humid_campaign(tmp_path, slope=0.0)
-    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("c",)))
-    for values in found.results.contacts.values():
         c, energy = values["c"], values["surface_energy_table2_j_per_m2"]
-        assert energy.value == pytest.approx(ENERGY_OVER_C * c.value, rel=2e-3)
+        assert shares["arm_m"] ** 0.5 * c.standard_uncertainty / c.value == pytest.approx(U_ARM_M, rel=0.25)
         assert abs(c.value - GLASS[2]) < 4 * c.standard_uncertainty
+        assert energy.value == pytest.approx(ENERGY_OVER_C * c.value, rel=2e-3)
 
 
 def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
@@ -155,25 +149,22 @@ def test_a_likelihood_is_that_of_its_results() -> None:
     assert likelihood.shared["arm_m"][2] == pytest.approx(U_ARM_M, rel=1e-6)
     assert likelihood.covariates["humidity_percent"] == 45.0
 
-
-def test_what_is_known_of_the_air_is_shared_by_runs_and_no_scatter_of_theirs() -> None:
-    one = run(1, GLASS, np.random.default_rng(3))
-    fit, nan = one.fits["exact"], np.nan
-    lines = [
-        BudgetSource("swings", "A", nan, nan, 6e-5, 0.36),
-        BudgetSource("air", "B", nan, nan, 8e-5, 0.64),
-    ]
-    budget = Budget(value=2e-3, standard_uncertainty=1e-4, sources=tuple(lines))
-    parameters = {**fit.parameters, "drag_s": Estimate(2e-3, 1e-4)}
-    found = compressed(
-        replace(
-            one,
-            fits={"exact": replace(fit, parameters=parameters)},
-            budget={**one.budget, "drag_s": budget},
-        )
+    # what is known of the air is shared by runs, too
+    lines = (
+        BudgetSource("swings", "A", np.nan, np.nan, 6e-5, 0.36),
+        BudgetSource("air", "B", np.nan, np.nan, 8e-5, 0.64),
     )
+    with_drag = replace(fit, parameters={**fit.parameters, "drag_s": Estimate(2e-3, 1e-4)})
+    budget = {**one.budget, "drag_s": Budget(value=2e-3, standard_uncertainty=1e-4, sources=lines)}
+    found = compressed(replace(one, fits={"exact": with_drag}, budget=budget))
     at = found.names.index("drag_s")
     assert found.covariance[at, at] / found.shared["air"][at] ** 2 == pytest.approx(0.36 / 0.64)
+    # and so is what their law does not describe
+    lines = (lines[0], replace(lines[1], source="discrepancy", type="A"))
+    budget = {**one.budget, "p": Budget(value=0.944, standard_uncertainty=1e-3, sources=lines)}
+    found = compressed(replace(one, budget=budget))
+    assert found.covariance[1, 1] == pytest.approx(0.36 * likelihood.covariance[1, 1])
+    assert found.shared["discrepancy of p"][1] ** 2 == pytest.approx(0.64 * likelihood.covariance[1, 1])
 
 
 @pytest.mark.parametrize(
@@ -318,11 +309,10 @@ def test_decays_of_one_table_are_runs(tmp_path: Path) -> None:
 
 
 def test_a_campaign_of_nothing_or_of_what_excludes_each_other_is_refused(tmp_path: Path) -> None:
-    folder = humid_campaign(tmp_path)[0]
+    folder = session(tmp_path / "monday", [run(1, GLASS, np.random.default_rng(1))])
     for words, said in (
-        ((), "rig compare needs runs"),
+        (("--where", "b > 0"), "rig compare needs runs"),
         (("no-folder",), "no-folder: no such file or folder"),
-        (("--where", "b > 0"), "needs runs"),
         ((folder, "--where", "b > 0"), "has no effect without --archive"),
         ((folder, "--archive", "a"), "exclude each other"),
     ):
@@ -422,29 +412,6 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     assert np.all(u_again < 1.5 * u)
 
 
-def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
-    found = fit_model(runs_of_folders([measured_series]), StatedCampaign())
-    (values,) = found.results.contacts.values()
-    assert 0.9 < values["p"].value < 1.0
-    assert found.results.simulated
-    assert found.results.warnings[0].startswith("SIMULATED: ")
-    assert len(found.results.runs) == 2
-    assert {"mass_kg", "arm_m"} <= set(found.results.shared)
-
-
-def test_a_comparison_of_simulated_runs_is_called_so(tmp_path: Path) -> None:
-    shutil.copytree(SAMPLES / "first", tmp_path / "first")
-    compared = rig("compare", tmp_path / "first")
-    assert compared.returncode == 0
-    assert "SIMULATED: runs come from the simulated rig" in compared.stderr
-    (found,) = runs_of_folders([tmp_path / "first"])
-    titles = [
-        decays_table([replace(found, run=replace(found.run, simulated=simulated))]).title
-        for simulated in (True, False)
-    ]
-    assert titles == ["SIMULATED: decays", "Decays"]
-
-
 def test_a_humidity_in_another_unit_than_the_others_is_said() -> None:
     runs = {"a": 41.0, "b": 0.45, "c": 50.0, "d": 58.0}
     assert other_unit_warning("humidity_percent", runs).startswith(
@@ -453,8 +420,21 @@ def test_a_humidity_in_another_unit_than_the_others_is_said() -> None:
     assert other_unit_warning("humidity_percent", {"a": 5.0, "b": 45.0, "c": 58.0}) == ""
 
 
-def test_a_run_without_a_fit_is_left_out_and_keeps_its_place_in_the_order(measured_series: Path) -> None:
+def test_a_measured_series_is_a_campaign_and_a_run_without_a_fit_keeps_its_place_in_the_order(
+    measured_series: Path,
+) -> None:
     first, second = runs_of_folders([measured_series])
+    found = fit_model([first, second], StatedCampaign()).results
+    (values,) = found.contacts.values()
+    assert 0.9 < values["p"].value < 1.0
+    assert found.simulated
+    assert found.warnings[0].startswith("SIMULATED: runs come from the simulated rig")
+    assert {"mass_kg", "arm_m"} <= set(found.shared)
+    titles = [
+        decays_table([replace(first, run=replace(first.run, simulated=simulated))]).title
+        for simulated in (True, False)
+    ]
+    assert titles == ["SIMULATED: decays", "Decays"]
     nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
     (entered,) = fit_model([nothing, second], StatedCampaign()).posterior.runs
     assert entered.covariates["order"] == 1.0

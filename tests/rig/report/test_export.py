@@ -193,8 +193,12 @@ def test_what_a_record_lacks_is_said_in_every_file(
         assert file["_run/lacking/description"][()].decode().splitlines() == notes
 
 
-def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
+def test_a_record_alone_is_exported_without_results_and_texts_are_no_formulas(
+    measured_series: Path, tmp_path: Path
+) -> None:
     shutil.copy(measured_series / "run-1.mcap", tmp_path)
+    made = export_session(tmp_path / "run-1.mcap", "parquet", tmp_path / "alone")
+    assert [path.stem for path in made] == ["run-1-spots", "run-1-swings"]
     tree = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))
     for row, text in zip(
         tree["runs"][0]["table"], ("=HYPERLINK(0)", "@SUM(1)", "1 is no formula"), strict=False
@@ -208,15 +212,11 @@ def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
     assert '"1 is no formula"' in text
 
 
-def test_nothing_is_written_over(
-    measured_series: Path, exported: dict[str, list[Path]], tmp_path: Path
-) -> None:
-    (tmp_path / "a.h5").touch()
-    with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
-        export_session(measured_series, "hdf5", tmp_path / "a.h5")
-    for kind in ("csv", "latex"):
+def test_nothing_is_written_over(measured_series: Path, exported: dict[str, list[Path]]) -> None:
+    folders = {kind: made[0].parent for kind, made in exported.items()}
+    for kind, place in {**folders, "hdf5": exported["hdf5"][0]}.items():
         with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
-            export_session(measured_series, kind, exported[kind][0].parent)
+            export_session(measured_series, kind, place)
 
 
 def test_results_of_another_record_are_refused(measured_series: Path, tmp_path: Path) -> None:
@@ -224,12 +224,6 @@ def test_results_of_another_record_are_refused(measured_series: Path, tmp_path: 
     shutil.copy(measured_series / "run-2.mcap", tmp_path / "run-1.mcap")
     with pytest.raises(RecordError, match="other hash"):
         export_session(tmp_path / "run-1.mcap", "csv", tmp_path / "out")
-
-
-def test_a_record_alone_is_exported_without_results(measured_series: Path, tmp_path: Path) -> None:
-    shutil.copy(measured_series / "run-1.mcap", tmp_path)
-    made = export_session(tmp_path / "run-1.mcap", "parquet", tmp_path / "out")
-    assert [path.stem for path in made] == ["run-1-spots", "run-1-swings"]
 
 
 def test_a_missing_library_is_one_line(

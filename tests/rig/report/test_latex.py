@@ -83,16 +83,12 @@ def test_a_heading_names_its_unit() -> None:
     ("value", "u", "text"),
     [
         (3.73315e-3, 1.0e-7, "(3.73315 ± 0.00010) × 10⁻³"),
-        (4.0710047, 2.5e-6, "4.0710047 ± 0.0000025"),
         (-1.24e-8, 8.2e-9, "(−1.24 ± 0.82) × 10⁻⁸"),
         (28.9, 0.0996, "28.90 ± 0.10"),
         (1.0, math.inf, "1.0000"),
         (math.nan, 1.0, "not determined"),
-        (1.0, 0.0996, "1.00 ± 0.10"),
-        (1.23456, 0.0123, "1.235 ± 0.012"),
         (-1234.5, 12.3, "−1234 ± 12"),
         (12345.0, 120.0, "(1.234 ± 0.012) × 10⁴"),
-        (99.996, 0.010, "99.996 ± 0.010"),
         (9.99996e-4, 1e-6, "(1.0000 ± 0.0010) × 10⁻³"),
         (-1e-5, 0.5, "0.00 ± 0.50"),
         (0.0, 99.6, "(0.0 ± 1.0) × 10²"),
@@ -100,14 +96,6 @@ def test_a_heading_names_its_unit() -> None:
 )
 def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> None:
     assert with_uncertainty(value, u) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.12, "+0.12"), (-0.0052, "−0.0052"), (3e-6, "+3.0 × 10⁻⁶"), (0.0, "0"), (-14.2, "−14")],
-)
-def test_a_difference_has_its_sign(value: float, text: str) -> None:
-    assert signed(value) == text
 
 
 @pytest.mark.parametrize(
@@ -125,34 +113,19 @@ def test_digits_beside_a_limit(value: float, u: float, limit: float, shown: str)
     assert judged_number(value, u, limit) == shown
 
 
-def test_what_rounds_to_zero_has_no_minus() -> None:
-    assert (decimals(-0.04, 1), decimals(-0.04, 1, sign=True), decimals(0.4, 0, sign=True)) == (
-        "0.0",
-        "+0.0",
-        "+0",
-    )
-    assert (decimals(-12.0, 1), decimals(2.25, 2, sign=True)) == ("−12.0", "+2.25")
-
-
-def test_a_sign_where_the_direction_matters() -> None:
+def test_a_sign_where_the_direction_matters_and_none_of_what_rounds_to_zero() -> None:
     assert with_uncertainty(2.0, 0.0123, signed=True) == "+2.000 ± 0.012"
-    assert with_uncertainty(2e-7, 1e-9, signed=True) == "(+2.000 ± 0.010) × 10⁻⁷"
-    assert with_uncertainty(-2.0, 0.0123, signed=True) == "−2.000 ± 0.012"
+    assert with_uncertainty(-2e-7, 1e-9, signed=True) == "(−2.000 ± 0.010) × 10⁻⁷"
     assert with_uncertainty(2.0, math.nan, signed=True) == "+2.0000"
+    shown = [signed(value) for value in (0.12, -0.0052, 3e-6, 0.0, -14.2)]
+    assert shown == ["+0.12", "−0.0052", "+3.0 × 10⁻⁶", "0", "−14"]
+    shown = [decimals(-0.04, 1), decimals(-12.0, 1), decimals(-0.04, 1, sign=True)]
+    assert shown == ["0.0", "−12.0", "+0.0"]
 
 
 @pytest.mark.parametrize(
     ("fraction", "text"),
-    [
-        (0.0025, "+0.25 %"),
-        (-0.069, "−6.9 %"),
-        (1.04, "+104 %"),
-        (-12.3, "−1230 %"),
-        (4.3e-8, "+4.3 × 10⁻⁶ %"),
-        (-4.3e-8, "−4.3 × 10⁻⁶ %"),
-        (0.0, "+0 %"),
-        (-0.0, "+0 %"),
-    ],
+    [(0.0025, "+0.25 %"), (-12.3, "−1230 %"), (-4.3e-8, "−4.3 × 10⁻⁶ %"), (-0.0, "+0 %")],
 )
 def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, text: str) -> None:
     assert signed_percent(fraction) == text

@@ -5,8 +5,18 @@ import pytest
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.report.paper_simulation import BALL_RADIUS_M, MASS_KG, PAIRS, PairSeries, simulate_pair
-from rig.report.paper_tables import CONTRADICTION, _agreement, elastic_rows, friction_rows, table1
+from rig.report.paper import (
+    BALL_RADIUS_M,
+    CONTRADICTION,
+    MASS_KG,
+    PAIRS,
+    PairSeries,
+    _agreement,
+    elastic_rows,
+    friction_rows,
+    simulate_pair,
+    table1,
+)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
-from rig.analysis import AnalysedRun, SessionResults, read_results
+from rig.analysis import AnalysedRun, read_results
 from rig.commands.reporting import plan
 from rig.instrument import complete, recorded_configuration
 from rig.report import (
@@ -41,6 +41,8 @@ def test_a_run_is_planned_from_a_record(
     assert longer["duration_s"] > shorter["duration_s"]
     assert longer["half_cycles"] > shorter["half_cycles"]
     assert longer["u_b"] < shorter["u_b"]
+    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
+        plan(measured_series / "run-1.mcap", [10.0], [60.0])
 
 
 def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
@@ -56,18 +58,11 @@ def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     assert "NOT RELIABLE" not in plan_table(air).note
 
 
-def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
-    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
-        plan(measured_series / "run-1.mcap", [10.0], [60.0])
-
-
 def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
     """Frames of the simulated rig, followed and detected, scatter as a plan of its configuration expects."""
     with RecordReader(measured_series / "run-1.mcap") as reader:
         conditions = planned_contact(recorded_configuration(reader)).conditions
-    results = read_results(measured_series / "results.json")
-    assert isinstance(results, SessionResults)
-    points = results.runs[0].points
+    points = read_results(measured_series).runs[0].points
     u_rad, u_s_rad = np.median(points.u_amplitude), np.median(points.u_time_s * points.amplitude)
     assert conditions.u_amplitude_rad == pytest.approx(u_rad, rel=0.1)
     assert conditions.u_time_amplitude_s_rad == pytest.approx(u_s_rad, rel=0.1)
@@ -79,7 +74,7 @@ def test_the_ground_of_a_configuration_drives_the_planned_pendulum() -> None:
 
     def drive(*overrides: str) -> float:
         wanted = [f"simulation.ground.{override}" for override in overrides]
-        return conditions_of(*wanted).ground_rad_per_s2_rthz
+        return of_file("demo", *wanted).ground_rad_per_s2_rthz
 
     w0_squared = (2 * math.pi / 4.071) ** 2
     shaken = w0_squared * 1e-3 * 2e-6 / (9.80665 * 6.05e-3)
@@ -97,9 +92,9 @@ def test_the_ground_of_a_configuration_drives_the_planned_pendulum() -> None:
 
 
 def test_air_and_a_wandering_beam_add_to_the_scatter_of_turning_points() -> None:
-    still = conditions_of("simulation.disturbances.air_arcsec=0")
+    still = of_file("demo", "simulation.disturbances.air_arcsec=0")
     for override in ("air_arcsec=0.02", "pointing_walk_px_per_sqrt_s=0.1", "pointing_jitter_px=0.2"):
-        moved = conditions_of(f"simulation.disturbances.{override}")
+        moved = of_file("demo", f"simulation.disturbances.{override}")
         assert moved.u_amplitude_rad > 1.5 * still.u_amplitude_rad
         assert moved.u_time_amplitude_s_rad > 1.5 * still.u_time_amplitude_s_rad
 
@@ -133,41 +128,28 @@ def test_a_plan_of_a_configuration_has_series_of_runs(
 )
 def test_what_a_plan_needs_of_a_configuration_is_named(overrides: list[str], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        conditions_of(*overrides)
+        of_file("demo", *overrides)
 
 
-def conditions_of(*overrides: str) -> Conditions:
-    """Of the demonstration, changed."""
-    return planned_contact(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions
-
-
-VAULT = CONFIGS / "vault.toml"
+def of_file(name: str, *overrides: str) -> Conditions:
+    return planned_contact_of_file(CONFIGS / f"{name}.toml", overrides, None, None).conditions
 
 
 def test_a_plan_of_a_configuration_has_its_own_seismometer_and_reference() -> None:
-    both, bare = (
-        planned_contact_of_file(VAULT, overrides, None, None).conditions
-        for overrides in ((), ("seismometer.kind='none'",))
-    )
+    both, bare = of_file("vault"), of_file("vault", "seismometer.kind='none'")
     assert bare.seismometer_noise is None
     assert both.seismometer_noise == pytest.approx(LEAST_UNEXPLAINED, rel=0.2)
     assert both.unknown_rad_per_s2_rthz < 0.03 * bare.unknown_rad_per_s2_rthz
     # the air that the reference takes off does not bend the swing
-    plain = ("simulation.reference.relative=0", "simulation.disturbances.air_arcsec=0.1")
-    airy = planned_contact_of_file(CONFIGS / "basement.toml", plain, None, None).conditions
-    less = planned_contact_of_file(VAULT, ("simulation.disturbances.air_arcsec=0.1",), None, None).conditions
+    air = "simulation.disturbances.air_arcsec=0.1"
+    airy, less = of_file("basement", air, "simulation.reference.relative=0"), of_file("vault", air)
     assert less.u_amplitude_rad < 0.6 * airy.u_amplitude_rad
-
-
-def test_a_seismometer_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
-    noisy = ("simulation.seismometer.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
-    found = planned_contact_of_file(VAULT, noisy, None, None).conditions
-    assert found.seismometer_noise is not None
-    assert found.seismometer_noise > 10
-    louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
-    assert louder.seismometer_noise == pytest.approx(0.01 * found.seismometer_noise)
+    # a seismometer may hear itself more than the ground
+    noisy = of_file("vault", "simulation.seismometer.noise_m_per_s2_per_sqrt_hz=2.5e-4")
+    assert noisy.seismometer_noise is not None
+    assert noisy.seismometer_noise > 10
+    louder = noisy.on_ground(100 * noisy.ground_rad_per_s2_rthz)
+    assert louder.seismometer_noise == pytest.approx(0.01 * noisy.seismometer_noise)
     assert louder.on_ground(1e9).seismometer_noise == LEAST_UNEXPLAINED
-    unknown = planned_contact_of_file(
-        VAULT, ("seismometer.kind='serial'", "seismometer.port='/dev/any'"), None, None
-    )
-    assert unknown.conditions.seismometer_noise == LEAST_UNEXPLAINED
+    unknown = of_file("vault", "seismometer.kind='serial'", "seismometer.port='/dev/any'")
+    assert unknown.seismometer_noise == LEAST_UNEXPLAINED

@@ -5,8 +5,7 @@ from functools import cache
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.report.paper_simulation import BALL_RADIUS_M, MASS_KG, PAIRS, simulate_pair
-from rig.report.paper_tables import elastic_rows, friction_rows, table1
+from rig.report.paper import BALL_RADIUS_M, MASS_KG, PAIRS, elastic_rows, friction_rows, simulate_pair, table1
 from tests.validation.row import Found
 
 
