@@ -205,9 +205,7 @@ def _breaks_away(
     angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
 ) -> tuple[float, float]:
     """Time in s for which friction still holds a pendulum on shaking ground, and direction of its start (or
-    0).
-
-    The forces are tested 8 times between two knots, of which the shortest period of the band has four.
+    0). The forces are tested 8 times between two knots, of which the shortest period has four.
     """
     for part in range(1, 9):
         low = longest_s * (part - 1) / 8

@@ -19,16 +19,13 @@ from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.topics import (
-    BALANCE,
-    BALANCE_UNCALIBRATED,
     ENVIRONMENT,
     EVENT,
     HALF_CYCLE,
-    HALF_CYCLE_UNCALIBRATED,
     REFERENCE,
     SEISMOMETER,
     SPOT,
-    SPOT_UNCALIBRATED,
+    TYPES_BY_UNIT,
     WINDOW,
     ClockAnchor,
     Environment,
@@ -49,7 +46,7 @@ from tests.acquisition.record.samples import (
     write_sample,
 )
 
-OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, HALF_CYCLE, HALF_CYCLE_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
+OF_DEFLECTIONS = [kind for kinds in TYPES_BY_UNIT.values() for kind in kinds]
 ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, SEISMOMETER, REFERENCE]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
