@@ -236,7 +236,11 @@ class _SimulatedFrames:
                     if self._stopped.is_set():
                         return None
                     raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
-                frame = self._skip_overrun(frame)
+                # a reader that is later than the buffer holds loses the oldest frames
+                late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
+                if late > 0:
+                    self._next = frame = frame + late
+                    self.status += CameraStatus(dropped_by_host=late)
             if self._stall_frame <= frame < self._stall_end_frame:
                 if self._settings.real_time:
                     self._skip(1)
@@ -291,14 +295,6 @@ class _SimulatedFrames:
                 return True
             if now_ns >= deadline_ns or self._stopped.wait(seconds(min(due_ns, deadline_ns) - now_ns)):
                 return False
-
-    def _skip_overrun(self, frame: int) -> int:
-        """Lose the oldest frames if the reader is later than the buffer holds; returns the next frame."""
-        late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
-        if late > 0:
-            self._next += late
-            self.status += CameraStatus(dropped_by_host=late)
-        return self._next
 
     def _skip(self, count: int) -> None:
         """Lose the next frames in the camera."""

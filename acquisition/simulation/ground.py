@@ -6,11 +6,9 @@ restoring moment is measured from the tilted base:
 
     I phi'' + m g R (phi - th) = M_fr + M_el - m d a
 
-Divided by m g R, the ground adds the angle th - d a/(g R) to the rest position, whatever the moment of
-inertia. Both modes roll on the same ball under the same weight, hence with the same stiffness m g R: the
-fast mode's equation differs in I alone, I_U = I_V/`period_ratio`^2, and each mode is driven by this angle,
-with its own component of a and th. phi is an angle in space, and the light lever shows the same: a tilt
-of laser and sensor with the base is neglected.
+Divided by m g R, the ground adds the angle th - d a/(g R) to the rest position. Both modes roll on the same
+ball under the same weight: they differ in I alone, I_U = I_V/`period_ratio`^2, and this angle drives each
+with its own component of a and th. A tilt of laser and sensor with the base is neglected.
 """
 
 import functools

@@ -141,8 +141,10 @@ class Scene:
         is_pulsed = self._outputs.pulse_us > 0
         offset_px = self._pointing.offset_px(first, count)
         if self._rolling is None or is_pulsed:
-            # a pulse lights all rows at one time
-            position_px = self._spot_px(times_s + self._light_delay_s) + offset_px
+            # a pulse lights all rows at one time, its middle so long after that of the first row's exposure
+            beyond_us = 0.5 * (self._outputs.pulse_us - self._camera_settings.exposure_us)
+            delay_s = 1e-6 * (self._outputs.pulse_delay_us + beyond_us) if is_pulsed else 0.0
+            position_px = self._spot_px(times_s + delay_s) + offset_px
             slope = np.zeros((count, 2))
         else:
             moving_px = self._spot_px(self._rolling.times_s(times_s)).reshape(count, -1, 2)
@@ -172,14 +174,6 @@ class Scene:
         slow_rad, fast_rad = (series.at(times_s) for series in self._base_tilts_rad)
         zeros = np.zeros_like(times_s)
         return self._position_px(fast_rad, slow_rad, times_s) - self._position_px(zeros, zeros, times_s)
-
-    @property
-    def _light_delay_s(self) -> float:
-        """Time in s from the middle of the first row's exposure to the middle of the light's pulse."""
-        outputs = self._outputs
-        if not outputs.pulse_us:
-            return 0.0
-        return 1e-6 * (outputs.pulse_delay_us + 0.5 * (outputs.pulse_us - self._camera_settings.exposure_us))
 
     def _pulse_fraction(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Light that the row under the spot collects from a pulse, relative to that without pulses."""

@@ -45,6 +45,7 @@ from tests.acquisition.record.samples import (
     sample_balance,
     write_sample,
 )
+from tests.acquisition.record.samples import SPOT as SPOT_OF_ONES
 
 OF_DEFLECTIONS = [kind for kinds in TYPES_BY_UNIT.values() for kind in kinds]
 ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, SEISMOMETER, REFERENCE]
@@ -202,11 +203,12 @@ def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
 
 
 def test_deflections_in_another_unit_than_the_records_are_refused(tmp_path: Path) -> None:
-    one = np.ones(1)
-    with RecordWriter(tmp_path / "run.mcap", 0) as writer:
-        in_px = Deflections(np.array([0]), one, one, one, one, DeflectionUnit.PX)
-        with pytest.raises(ValueError, match="its deflections are in rad; values in px"):
-            writer.write_spots([0], [0], [0], [Spot(*[1.0] * 10, flags=0)], in_px)
+    in_px = Deflections(np.array([0]), *np.ones((4, 1)), DeflectionUnit.PX)
+    with (
+        RecordWriter(tmp_path / "run.mcap", 0) as writer,
+        pytest.raises(ValueError, match="its deflections are in rad; values in px"),
+    ):
+        writer.write_spots([0], [0], [0], [SPOT_OF_ONES], in_px)
 
 
 @pytest.mark.parametrize("unit", DeflectionUnit)
@@ -237,11 +239,9 @@ def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
 
 def test_a_cameras_missing_clock_and_negative_times_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    spot = Spot(*[1.0] * 10, flags=0)
     with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
-        one = np.ones(1)
-        deflections = Deflections(np.array([-5]), one, one, one, one, DeflectionUnit.RAD)
-        writer.write_spots([4], [-1], [-5], [spot], deflections)
+        deflections = Deflections(np.array([-5]), *np.ones((4, 1)), DeflectionUnit.RAD)
+        writer.write_spots([4], [-1], [-5], [SPOT_OF_ONES], deflections)
     with RecordReader(path) as reader:
         row = reader.spots()[0]
         assert (row["device_time_ns"], row["host_time_ns"], row["time_ns"]) == (-1, -5, -5)

@@ -19,8 +19,9 @@ from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream, SleepWatch, read_sleep_ns
-from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.waiting import until
 
 RATE_HZ = 100.0
 
@@ -199,7 +200,7 @@ def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing
     assert stream.begin() is not None
     # the one that reads, and the one that notices when all of them stand still
     assert threading.active_count() == before + 1
-    assert wait_until(lambda: stream.losses.by_host > 100, 60.0)
+    until(lambda: stream.losses.by_host > 100)
     stream.close()
     frames = stream.take(10_000, 0.0)
     assert [frame.sequence for frame in frames] == list(range(len(frames)))
@@ -223,7 +224,7 @@ class EightTimesAsFast(ScriptedCamera):
 
 def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
     stream = scripted(EightTimesAsFast(frames=9000, silences=0))
-    assert wait_until(lambda: bool(stream.end_reason), 60.0)
+    until(lambda: stream.end_reason)
     stream.close()
     assert "times as fast as the computer" in str(stream.failure)
 
