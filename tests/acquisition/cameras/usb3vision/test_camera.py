@@ -156,6 +156,12 @@ def test_timestamps_are_ns_whatever_their_resolution(step_ns: int, caplog: pytes
         assert after_ns - before_ns == pytest.approx(10_000_000, abs=step_ns)
 
 
+def test_a_clock_that_counts_in_seconds_is_none() -> None:
+    camera = camera_on(VisionDevice(clock_step_ns=1_000_000_000))
+    assert not camera.open().has_clock
+    camera.close()
+
+
 def test_unplugged_and_plugged_again_the_counts_go_on(
     running: Usb3VisionCamera, device: VisionDevice
 ) -> None:
