@@ -10,7 +10,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.motion import motions
-from acquisition.simulation.optics import spot_position_px
+from acquisition.simulation.optics import sheared_beams, spot_position_px
 from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from acquisition.simulation.true_path import axes_motion
@@ -74,6 +74,12 @@ def test_a_region_of_one_row_is_exposed_at_one_time(first_row: str) -> None:
     assert rolling.y_px == pytest.approx(still.y_px, abs=1e-9)
     assert rolling.slope == pytest.approx(still.slope, abs=1e-9)
     assert not still.slope.any()
+
+
+def test_a_ghost_lies_where_it_is_when_its_own_rows_are_exposed() -> None:
+    slope = np.array([[0.2, 0.1], [0.0, 0.0]])
+    _, ghost_px = sheared_beams(OpticsTruth(ghost_dx_px=40.0, ghost_dy_px=30.0), slope)
+    assert ghost_px == pytest.approx([40.0, 30.0] + slope * ghost_px[:, 1:])
 
 
 @pytest.mark.parametrize("row_time_s", [0.0, 30e-6])
