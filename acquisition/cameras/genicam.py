@@ -57,13 +57,6 @@ class GenicamFeatures(FeatureAccess):
         """The colour whose pixels are used, of a sensor with a Bayer mosaic; None: all pixels."""
         return self._requested.colour_plane
 
-    @property
-    def is_triggered(self) -> bool:
-        """Whether the camera is set to wait for a trigger, by camera.trigger or by camera.features."""
-        return self._requested.trigger is not None or any(
-            "Trigger" in name for name in self._requested.features
-        )
-
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None, in the order that cameras require; return all as read back.
 
@@ -129,7 +122,8 @@ class GenicamFeatures(FeatureAccess):
     def select_continuous(self) -> None:
         """Select continuous acquisition, without a trigger unless one was requested."""
         self._choose_if_possible("AcquisitionMode", "Continuous")
-        if not self.is_triggered:
+        by_feature = any("Trigger" in name for name in self._requested.features)
+        if self._requested.trigger is None and not by_feature:
             self.run_freely()
 
     def run_freely(self) -> None:
@@ -217,10 +211,7 @@ class GenicamFeatures(FeatureAccess):
                 )
 
     def _set_times(self, settings: CameraSettings) -> None:
-        """Set exposure and frame rate, which limit each other, in the order in which both are possible.
-
-        With a trigger, no frame rate is set.
-        """
+        """Set exposure and frame rate (not with a trigger), which limit each other, in the possible order."""
         exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
         if settings.trigger is not None:
             rate_hz = None

@@ -1,9 +1,5 @@
 """Supported pixel formats, and kernels that unpack the packed ones.
 
-Packed pixels are stored without gaps. In ``p`` formats the least significant bits come first (Pixel Format
-Naming Convention). In the older ``Packed`` formats the low bits of two pixels share the middle byte (GigE
-Vision).
-
 A colour plane of a sensor with a Bayer mosaic is one pixel of each square of four, as it was read; it equals
 a grey sensor of twice the pitch. Planes are not combined, because pixels of other colours than the laser's
 receive little light but have the full noise, and interpolated pixels are correlated.
@@ -216,15 +212,6 @@ def preferred_name(
     return found[depth][0]
 
 
-def plane_of(image: Image, colours: str, plane: ColourPlane | None) -> Image:
-    """The pixels of one colour of a mosaic with these `colours` in its first row; all without a plane."""
-    if plane is None:
-        return image
-    row, column = place_in_mosaic(colours, plane)
-    plane_image: Image = image[row::BAYER_PERIOD_PX, column::BAYER_PERIOD_PX].copy()
-    return plane_image
-
-
 def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
     """Row and column of the first pixel of a colour in a mosaic with these `colours` in its first row.
 
@@ -264,8 +251,10 @@ class ExpectedFrames:
 
     def image(self, raw: Bytes, x_padding: int = 0) -> Image:
         """The image in these bytes, of the colour plane to deliver; read-only."""
-        mosaic = self.format.image(raw, self.width_px, self.height_px, x_padding)
-        image = plane_of(mosaic, self.format.colours, self.plane)
+        image = self.format.image(raw, self.width_px, self.height_px, x_padding)
+        if self.plane is not None:
+            row, column = place_in_mosaic(self.format.colours, self.plane)
+            image = image[row::BAYER_PERIOD_PX, column::BAYER_PERIOD_PX].copy()
         image.flags.writeable = False
         return image
 

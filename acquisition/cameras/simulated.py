@@ -19,7 +19,7 @@ from acquisition.camera import (
 )
 from acquisition.cameras.reading import check_end, check_range
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings, block_frames
+from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from processing.units import nanoseconds, seconds
@@ -146,9 +146,7 @@ class SimulatedCamera:
     def _frames(self, inputs: RigInputs | None) -> "_SimulatedFrames":
         """The frames of the next run; the first is drawn already."""
         scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, inputs)
-        rate_hz = self._sensor_settings.frame_rate_hz
-        block = block_frames(rate_hz, is_controlled=inputs is not None)
-        return _SimulatedFrames(scene, block, self._settings, self._faults, rate_hz)
+        return _SimulatedFrames(scene, self._settings, self._faults, self._sensor_settings.frame_rate_hz)
 
     def read(self, timeout_s: float) -> Frame | None:
         reader = self._reader
@@ -181,25 +179,16 @@ class SimulatedCamera:
 
 
 class _SimulatedFrames:
-    """Delivers the frames of a run; `stop` may be called by another thread.
-
-    `block` is the number of frames that are calculated at once, before they are drawn.
-    """
+    """Delivers the frames of a run; `stop` may be called by another thread."""
 
     def __init__(
-        self,
-        scene: Scene,
-        block: int,
-        settings: SimulationSettings,
-        faults: FaultSettings,
-        rate_hz: float,
+        self, scene: Scene, settings: SimulationSettings, faults: FaultSettings, rate_hz: float
     ) -> None:
         self._scene = scene
         self._settings = settings
         self._faults = faults
         self._rate_hz = rate_hz
-        self._block = block
-        self._plan: PlannedFrames = scene.plan(block)
+        self._plan = scene.plan(scene.block_frames)
         self._draw_count = 1 if settings.real_time else max(1, _DRAWN_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
         # the first image compiles kernels, so it is drawn before the run's clock starts and a reader waits
@@ -210,12 +199,10 @@ class _SimulatedFrames:
         self._begin_ns = time.monotonic_ns()
         self._last_host_ns = 0
         self.status = CameraStatus()
-        self._unplug_frame: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
-        self._stall_frame: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
-        self._stall_end_frame: float = self._stall_frame + math.ceil(
-            faults.frames_stalled_duration_s * self._rate_hz
-        )
-        self._end_frame: float = _frame_at(settings.max_duration_s, self._rate_hz)
+        self._unplug_frame = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
+        self._stall_frame = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
+        self._stall_end_frame = self._stall_frame + math.ceil(faults.frames_stalled_duration_s * rate_hz)
+        self._end_frame = _frame_at(settings.max_duration_s, self._rate_hz)
         self.lost = False
 
     @property
@@ -241,14 +228,19 @@ class _SimulatedFrames:
             if frame >= self._end_frame:
                 return None
             if frame >= self._unplug_frame:
-                self._lose()
+                self.lost = True
+                _log.warning("%s: unplugged at frame %d", _NAME, frame)
                 continue
             if self._settings.real_time:
                 if not self._wait_for(frame, deadline_ns):
                     if self._stopped.is_set():
                         return None
                     raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
-                frame = self._skip_overrun(frame)
+                # a reader that is later than the buffer holds loses the oldest frames
+                late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
+                if late > 0:
+                    self._next = frame = frame + late
+                    self.status += CameraStatus(dropped_by_host=late)
             if self._stall_frame <= frame < self._stall_end_frame:
                 if self._settings.real_time:
                     self._skip(1)
@@ -260,7 +252,10 @@ class _SimulatedFrames:
                 passed_s += silent_s
                 self._skip(int(self._stall_end_frame) - frame)
                 continue
-            index = self._index_in_plan(frame)
+            while frame >= self._plan.first + self._scene.block_frames:
+                self._plan = self._scene.plan(self._scene.block_frames)
+                self._drawn.clear()
+            index = frame - self._plan.first
             if self._plan.dropped[index]:
                 self._skip(1)
                 continue
@@ -288,10 +283,6 @@ class _SimulatedFrames:
         self.lost = False
         self._stopped.clear()
 
-    def _lose(self) -> None:
-        self.lost = True
-        _log.warning("%s: unplugged at frame %d", _NAME, self._next)
-
     def _due(self, now_ns: int) -> int:
         """Number of frames that the simulated camera has exposed by the host's time `now_ns`."""
         return math.floor(seconds(now_ns - self._begin_ns) * self._rate_hz) + 1
@@ -305,24 +296,10 @@ class _SimulatedFrames:
             if now_ns >= deadline_ns or self._stopped.wait(seconds(min(due_ns, deadline_ns) - now_ns)):
                 return False
 
-    def _skip_overrun(self, frame: int) -> int:
-        """Lose the oldest frames if the reader is later than the buffer holds; returns the next frame."""
-        late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
-        if late > 0:
-            self._next += late
-            self.status += CameraStatus(dropped_by_host=late)
-        return self._next
-
     def _skip(self, count: int) -> None:
         """Lose the next frames in the camera."""
         self._next += count
         self.status += CameraStatus(dropped_by_camera=count)
-
-    def _index_in_plan(self, frame: int) -> int:
-        while frame >= self._plan.first + self._block:
-            self._plan = self._scene.plan(self._block)
-            self._drawn.clear()
-        return frame - self._plan.first
 
     def _draw(self, index: int) -> None:
         """Draw the image of a frame of the plan; in simulated time also the following ones."""

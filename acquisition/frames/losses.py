@@ -246,12 +246,6 @@ class FrameTiming:
         """
         return frame.device_time_ns - (frame.host_time_ns - self.delay_ns)
 
-    def off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
-        """Deviation of a time from the camera's rate since `last`, ns."""
-        return (
-            frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self.interval_ns
-        )
-
     def learn(self, frame: Frame) -> None:
         """Learn from a frame of valid time."""
         last, self.last = self.last, frame

@@ -220,10 +220,8 @@ class FrameLine:
         return None if is_confirmed else passed_ns - by_host_ns
 
     def _host_confirms(self, frame: Frame, last: Frame, off_ns: float) -> bool:
-        """Whether the computer's clock confirms a time that the camera's rate does not.
-
-        A camera may change its rate, and lose frames without numbering them. When a frame came that was read
-        later than it arrived, the computer does not know.
+        """Whether the computer's clock confirms a time that the camera's rate does not: the rate may change,
+        or frames without numbers be lost. When a frame came that was read late, the computer does not know.
         """
         timing = self._timing
         previous = self._waiting[-1].frame if self._waiting else last
@@ -244,13 +242,14 @@ class FrameLine:
         the computer confirms it and the rate does not: then frames without numbers are missing, or the rate
         has changed, and the waiting frames were read too late to be confirmed.
         """
-        timing, indices = self._timing, list[int]()
-        if timing.last is not None and timing.is_regular:
-            several = len(self._waiting) >= _AGREEING_FRAMES
-            if several or abs(timing.off_by_rate_ns(frame, timing.last)) >= timing.allowed_ns:
+        timing, last, indices = self._timing, self._timing.last, list[int]()
+        if last is not None and timing.is_regular:
+            by_rate_ns = (frame.sequence - last.sequence) * timing.interval_ns
+            off_ns = frame.device_time_ns - last.device_time_ns - by_rate_ns
+            if len(self._waiting) >= _AGREEING_FRAMES or abs(off_ns) >= timing.allowed_ns:
                 times_ns = [doubtful.frame.device_time_ns for doubtful in self._waiting]
                 sooner = {i for i, time_ns in enumerate(times_ns) if time_ns < frame.device_time_ns}
-                indices = [i for i in self._rising(timing.last, newest=[frame]).consistent if i in sooner]
+                indices = [i for i in self._rising(last, newest=[frame]).consistent if i in sooner]
         frames = self._release_waiting(indices)
         timing.learn(frame)
         return [*frames, frame]
@@ -267,10 +266,8 @@ class FrameLine:
     def _agreed_step(
         self, agreeing: list[_DoubtfulFrame], last: Frame, *, must_decide: bool
     ) -> tuple[int, int] | None:
-        """A step and its standard uncertainty, in ns: by the camera's rate if the computer agrees, else by
-        the computer, because frames without numbers may be missing, of which the rate knows nothing.
-
-        None while late reading may explain the difference.
+        """A step and its standard uncertainty, in ns: by the rate if the computer agrees, else by the
+        computer, as frames without numbers may be missing. None while late reading may explain it.
         """
         timing = self._timing
         by_host_ns = max(timing.early_ns(doubtful.frame) for doubtful in agreeing)

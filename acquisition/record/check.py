@@ -47,9 +47,11 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """
     with RecordReader(path) as reader:
         findings = [finding for file in reader.files for finding in _check_file(file)]
-        findings += [
-            _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
-        ]
+        for name, texts in reader.metadata.items():
+            if name.startswith(RECOVERY):
+                lost = texts["lost"]
+                text = f"recovered from {texts['source']}; lost: {lost or 'nothing'}"
+                findings.append(Finding("warning" if lost else "note", text))
         findings += _check_frames(reader)
         if results is not None:
             findings += _check_hashes(reader, results)
@@ -78,13 +80,6 @@ def _check_file(file: ReadFile) -> list[Finding]:
 
 def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
-
-
-def _check_recovery(recovery: Mapping[str, str]) -> Finding:
-    """Report what was missing in the damaged record that this one was recovered from."""
-    lost = recovery["lost"]
-    text = f"recovered from {recovery['source']}; lost: {lost or 'nothing'}"
-    return Finding("warning" if lost else "note", text)
 
 
 def _check_frames(reader: RecordReader) -> list[Finding]:
@@ -202,9 +197,13 @@ def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str
     for file in reader.files:
         if not file.is_complete and (rest := file.size - file.readable_bytes):
             lost.append(f"{rest} bytes after the last complete entry of {file.path.name}")
+    source_sha256 = ""
+    with contextlib.suppress(RecordError):
+        # empty if the disk cannot read all of the source
+        source_sha256 = sha256_of(reader.path)
     recovery = {
         "source": reader.path.name,
-        "source_sha256": _sha256_if_readable(reader.path),
+        "source_sha256": source_sha256,
         "source_was_cut": str(reader.truncated).lower(),
         "lost": "; ".join(lost),
     }
@@ -226,11 +225,3 @@ def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source
             counts_read.update({topic: copy.counts[number] for number, topic in copy.channels.items()})
     if not sound or +counts_read != Counter(counts):
         raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
-
-
-def _sha256_if_readable(path: Path) -> str:
-    """SHA-256 of the source; empty if the disk cannot read all of it."""
-    try:
-        return sha256_of(path)
-    except RecordError:
-        return ""

@@ -46,9 +46,13 @@ def encode_window(
     """
     height, width = image.shape
     is_large = image.nbytes >= _LARGE_BYTES
-    model, count = None if spot is None else spot_model(spot, x0_px, y0_px, (height, width)), 0
+    model, count = None if spot is None else _spot_model(spot, x0_px, y0_px, (height, width)), 0
     if model is not None:
-        count, planes = to_planes(image, model)
+        # a copy where it is not writable: for such arrays numba would compile the kernel a second time
+        writable = np.require(image, f"u{image.itemsize}", ("C", "W"))
+        filled = np.empty((8 * image.itemsize, (image.size + 7) // 8), dtype=np.uint8)
+        count = _fill_planes(writable, _table(), *model, filled)
+        planes = filled[:count].tobytes()
     if model is None or count >= 8 * image.itemsize:
         model, count = _NO_MODEL, 0
         pixels = np.ascontiguousarray(image, dtype=f"<u{image.itemsize}").view(np.uint8)
@@ -75,7 +79,7 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     image: Image
     if has_model:
         model = IntegerGaussian(*(fields[f"model_{name}"] for name in IntegerGaussian._fields))
-        image = from_planes(pixels, fields["bit_planes"], model, shape, size)
+        image = _from_planes(pixels, fields["bit_planes"], model, shape, size)
     else:
         planes = np.frombuffer(pixels, dtype=np.uint8).reshape(size, -1)
         image = np.ascontiguousarray(planes.T).view(f"<u{size}").reshape(shape)
@@ -83,11 +87,8 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     return RecordedWindow(fields["sequence"], fields["time_ns"], image, (fields["x0_px"], fields["y0_px"]))
 
 
-def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
-    """Model of a spot in a window (ny, nx) with the first pixel (x0, y0).
-
-    None where the spot was lost, is too tilted, or needs larger integers than these.
-    """
+def _spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
+    """Model of a spot in a window (ny, nx); None where it was lost, is too tilted, or too large."""
     x_px, y_px = spot.x_px - x0_px, spot.y_px - y0_px
     numbers = (x_px, y_px, *spot[4:9])
     if not all(abs(number) < _VALUE_LIMIT for number in numbers):
@@ -116,16 +117,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> In
     return model if max(reach_x**2 * model.inverse_x, reach_y**2 * model.inverse_y) < 2**63 else None
 
 
-def to_planes(image: Image, model: IntegerGaussian) -> tuple[int, bytes]:
-    """Bit planes of the image (ny, nx) minus the model: their number and their bytes."""
-    # a copy where it is not writable: for such arrays numba would compile the kernel a second time
-    pixels = np.require(image, f"u{image.itemsize}", ("C", "W"))
-    planes = np.empty((8 * image.itemsize, (image.size + 7) // 8), dtype=np.uint8)
-    count = _fill_planes(pixels, _table(), *model, planes)
-    return count, planes[:count].tobytes()
-
-
-def from_planes(
+def _from_planes(
     data: bytes, count: int, model: IntegerGaussian, shape: tuple[int, int], bytes_per_pixel: int
 ) -> Image:
     """Image of this shape (ny, nx) from `count` bit planes. Raises ValueError where sizes differ."""

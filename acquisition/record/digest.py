@@ -60,15 +60,10 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-_SECTION = "camera"
-_SIMULATED = "simulated"
-"""Driver of the simulated rig (`acquisition.cameras.drivers`)."""
-
-
 def camera_metadata(info: CameraInfo) -> dict[str, dict[str, str]]:
     """The section of the metadata that describes the camera."""
     names = ("driver", "vendor", "model", "serial", "width_px", "height_px", "full_scale_dn", "has_clock")
-    return {_SECTION: {name: str(getattr(info, name)) for name in (*names, "shutter")}}
+    return {"camera": {name: str(getattr(info, name)) for name in (*names, "shutter")}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +78,9 @@ class RecordedCamera:
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
         """The camera from the metadata of any record."""
-        camera = metadata.get(_SECTION, {})
+        camera = metadata.get("camera", {})
         return cls(
-            camera.get("driver") == _SIMULATED,
+            camera.get("driver") == "simulated",
             {str(known): known for known in (True, False)}.get(camera.get("has_clock", "")),
             ShutterKind.of(camera.get("shutter", "")),
         )

@@ -272,9 +272,8 @@ class ReadFile:
         self.readable_bytes, self.has_summary = self.size, True
 
     def _walk(self) -> None:
-        """List the data section record by record, without decompression, up to its last complete record.
-
-        After bytes that are no record, the walk continues at the next intact chunk or attachment.
+        """List the data section up to its last complete record, without decompression; after bytes that are
+        no record, from the next intact chunk or attachment on.
         """
         offset = last_offset = self.readable_bytes
         while offset + HEAD.size <= self.size and not self._data_end:

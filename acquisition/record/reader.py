@@ -247,9 +247,10 @@ class RecordReader:
         """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
         return 0 if start_ns is None else start_ns + self.epoch_offset_ns
 
-    def _topic_messages(self, topic: str, piece: Piece | None) -> Iterator[Message]:
-        """Messages of a topic: all, or those in a piece."""
-        return self.messages(topic) if piece is None else piece.messages(topic)
+    def _decoded(self, kind: MessageType, piece: Piece | None) -> Iterator[tuple[Any, ...]]:
+        """Fields of the messages of a type: of all, or of those in a piece."""
+        messages = self.messages(kind.topic) if piece is None else piece.messages(kind.topic)
+        return (kind.decode(message.data) for message in messages)
 
     def table(self, topic: str, piece: Piece | None = None) -> NDArray[Any]:
         """Messages of a topic of numbers, all or those in a piece, as a structured array (n,).
@@ -262,15 +263,12 @@ class RecordReader:
 
     def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
         """All values of a class that were written, or those in a piece."""
-        kind = KIND_OF[value_class]
-        return [
-            value_class(*kind.decode(message.data)) for message in self._topic_messages(kind.topic, piece)
-        ]
+        return [value_class(*fields) for fields in self._decoded(KIND_OF[value_class], piece)]
 
     def spots(self) -> NDArray[Any]:
         """All spots as a structured array (n,) with the fields of `topics.SPOT`, one row per frame.
 
-        Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
+        Without a lever (`deflection_unit` is px) the deflections are in px, see `topics.TYPES_BY_UNIT`. NaN
         where the spot was lost.
         """
         return self.table(SPOT.topic)
@@ -311,8 +309,7 @@ class RecordReader:
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""
-        messages = self._topic_messages(EVENT.topic, piece)
-        return [Event(*EVENT.decode(message.data)[:3]) for message in messages]
+        return [Event(*fields[:3]) for fields in self._decoded(EVENT, piece)]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""

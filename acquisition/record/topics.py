@@ -288,8 +288,6 @@ def _types_in(unit: DeflectionUnit) -> tuple[MessageType, MessageType, MessageTy
 TYPES_BY_UNIT: Final = {unit: _types_in(unit) for unit in (DeflectionUnit.RAD, DeflectionUnit.PX)}
 """Types of the messages whose fields have the unit of the deflections; they are the first in every record."""
 SPOT, HALF_CYCLE, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
-SPOT_UNCALIBRATED, HALF_CYCLE_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
-"""The same without a lever, in px but for the angle of the balance's line."""
 _PIXELS: tuple[tuple[str, Kind], ...] = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),

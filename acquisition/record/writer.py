@@ -343,10 +343,7 @@ class RecordWriter:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Refuse a closed record; after an error or a full disk close the files as far as possible.
-
-        Both are raised as RecordError.
-        """
+        """Raise RecordError for a closed record, and for an error or a full disk, after closing the files."""
         if self._closed:
             raise RecordError(f"{self.path}: is closed; nothing more can be written")
         try:

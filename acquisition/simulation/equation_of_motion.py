@@ -9,12 +9,10 @@ of contact is 1 + 2 epsilon (1 - cos phi) times that at rest, whence
 
     [1 + 2 epsilon (1 - cos phi)] phi'' + epsilon sin(phi) phi'^2 = w0^2 [ the moments above ]
 
-Two properties limit the accuracy of ordinary integrators: friction changes sign at the turning points, and
-|phi|^p and |phi|^(n+1) have no smooth derivatives at phi = 0. Therefore every step ends at such a point or
-before it; the points are located by Newton's method on the length of the step, and steps shrink geometrically
-towards phi = 0 and grow again after it. The ground acts as polynomials between even knots: where it does,
-steps end at the knots too. Each step is a Gauss collocation with 6 stages (order 12), solved by iteration;
-its polynomial gives the motion within the step.
+Friction changes sign at the turning points, and |phi|^p and |phi|^(n+1) have no smooth derivatives at
+phi = 0. Therefore every step ends at such a point (found by Newton's method on its length) or before it, and
+steps shrink geometrically towards phi = 0 and grow again after it. Steps also end at the knots of the ground.
+Each is a Gauss collocation with 6 stages (order 12), whose polynomial gives the motion within the step.
 """
 
 import math
@@ -205,9 +203,7 @@ def _breaks_away(
     angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
 ) -> tuple[float, float]:
     """Time in s for which friction still holds a pendulum on shaking ground, and direction of its start (or
-    0).
-
-    The forces are tested 8 times between two knots, of which the shortest period of the band has four.
+    0). The forces are tested 8 times between two knots, of which the shortest period has four.
     """
     for part in range(1, 9):
         low = longest_s * (part - 1) / 8

@@ -6,13 +6,12 @@ restoring moment is measured from the tilted base:
 
     I phi'' + m g R (phi - th) = M_fr + M_el - m d a
 
-Divided by m g R, the ground adds the angle th - d a/(g R) to the rest position, whatever the moment of
-inertia. Both modes roll on the same ball under the same weight, hence with the same stiffness m g R: the
-fast mode's equation differs in I alone, I_U = I_V/`period_ratio`^2, and each mode is driven by this angle,
-with its own component of a and th. phi is an angle in space, and the light lever shows the same: a tilt
-of laser and sensor with the base is neglected.
+Divided by m g R, the ground adds the angle th - d a/(g R) to the rest position. Both modes roll on the same
+ball under the same weight: they differ in I alone, I_U = I_V/`period_ratio`^2, and this angle drives each
+with its own component of a and th. A tilt of laser and sensor with the base is neglected.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -148,7 +147,9 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
             if mode < record.accelerations_m_per_s2.shape[1]:
                 shaking.append((1.0, _record_term(record, mode, truth.file_offset_s)))
         elif truth.model != "none":
-            shaking.append((1.0, _noise(truth, rate_hz, (seed, run, _ACCELERATION[mode]))))
+            key = seed, run, _ACCELERATION[mode]
+            density = functools.partial(acceleration_density, truth)
+            shaking.append((1.0, BandNoise(density, rate_hz, truth.bandwidth_hz, key)))
         if truth.tilt_rad_per_sqrt_hz > 0:
             noise = BandNoise(np.ones_like, rate_hz, truth.bandwidth_hz, (seed, run, _TILT[mode]))
             tilting.append((truth.tilt_rad_per_sqrt_hz, noise))
@@ -168,10 +169,6 @@ def acceleration_density(truth: GroundTruth, frequencies_hz: NDArray[np.float64]
     if truth.above_low_noise_db is not None:
         return density_of_db(low_db + truth.above_low_noise_db)
     return density_of_db(low_db + truth.between_noise_models * (nhnm_db(frequencies_hz) - low_db))
-
-
-def _noise(truth: GroundTruth, rate_hz: float, key: tuple[int, int, int]) -> Term:
-    return BandNoise(lambda f: acceleration_density(truth, f), rate_hz, truth.bandwidth_hz, key)
 
 
 def _knots_of_file(truth: GroundTruth) -> GroundRecord:

@@ -1,7 +1,6 @@
 """Light lever and laser spot: position of the beam on the sensor, and electrons in each pixel."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -211,39 +210,25 @@ class RollingReadout:
         return position
 
 
-@dataclass(frozen=True, slots=True)
-class ShearedBeams:
-    """Shapes of a beam that moves by `slope` (n, 2) px in x and y from one row to the next."""
+def sheared_beams(
+    optics: OpticsTruth, slope: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shapes (n, 3) and offsets of the ghost (n, 2) px, of a beam that moves by `slope` (n, 2) px per row.
 
-    optics: OpticsTruth
-    slope: NDArray[np.float64]
-
-    @property
-    def ghost_dx_px(self) -> NDArray[np.float64]:
-        """Offset of the ghost in x, (n,), px; its rows are exposed at another time than those of the spot."""
-        return self.optics.ghost_dx_px + self.slope[:, 0] * self.ghost_dy_px
-
-    @property
-    def ghost_dy_px(self) -> NDArray[np.float64]:
-        """Offset of the ghost in y, (n,), px."""
-        dy: NDArray[np.float64] = self.optics.ghost_dy_px / (1.0 - self.slope[:, 1])
-        return dy
-
-    @property
-    def shapes(self) -> NDArray[np.float64]:
-        """Standard deviations in px along two axes, and the angle of the first from x, (n, 3)."""
-        optics = self.optics
-        if not self.slope.any():
-            shape = optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad
-            return np.tile(shape, (len(self.slope), 1))
-        cos, sin = math.cos(optics.rotation_rad), math.sin(optics.rotation_rad)
-        rotation = np.array([[cos, -sin], [sin, cos]])
-        covariance = rotation @ np.diag([optics.sigma_x_px**2, optics.sigma_y_px**2]) @ rotation.T
-        # a pixel at (dx, dy) from the centre receives the beam's light at (dx - sx dy, dy - sy dy)
-        sx, sy = self.slope.T
-        stretch = 1.0 / (1.0 - sy)
-        to_image = np.zeros((len(sx), 2, 2))
-        to_image[:, 0, 0], to_image[:, 0, 1], to_image[:, 1, 1] = 1.0, sx * stretch, stretch
-        variance, axes = np.linalg.eigh(to_image @ covariance @ to_image.transpose(0, 2, 1))
-        angle_rad = np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
-        return np.column_stack((np.sqrt(variance), angle_rad))
+    A shape is the standard deviations in px along two axes, and the angle of the first from x. The rows of
+    the ghost are exposed at another time than those of the spot.
+    """
+    sx, sy = slope.T
+    stretch = 1.0 / (1.0 - sy)
+    ghost_dy_px = optics.ghost_dy_px / (1.0 - sy)
+    ghost_px = np.column_stack((optics.ghost_dx_px + sx * ghost_dy_px, ghost_dy_px))
+    if not slope.any():
+        return np.tile((optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad), (len(slope), 1)), ghost_px
+    cos, sin = math.cos(optics.rotation_rad), math.sin(optics.rotation_rad)
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    covariance = rotation @ np.diag([optics.sigma_x_px**2, optics.sigma_y_px**2]) @ rotation.T
+    # a pixel at (dx, dy) from the centre receives the beam's light at (dx - sx dy, dy - sy dy)
+    to_image = np.zeros((len(sx), 2, 2))
+    to_image[:, 0, 0], to_image[:, 0, 1], to_image[:, 1, 1] = 1.0, sx * stretch, stretch
+    variance, axes = np.linalg.eigh(to_image @ covariance @ to_image.transpose(0, 2, 1))
+    return np.column_stack((np.sqrt(variance), np.arctan2(axes[:, 1, 0], axes[:, 0, 0]))), ghost_px

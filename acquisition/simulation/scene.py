@@ -21,7 +21,7 @@ from acquisition.simulation.disturbances import (
 from acquisition.simulation.ground import ground_of
 from acquisition.simulation.inputs import MAX_REACTION_S, ControllerOutputs, FaultSettings, RigInputs
 from acquisition.simulation.motion import motions
-from acquisition.simulation.optics import RollingReadout, ShearedBeams, spot_position_px
+from acquisition.simulation.optics import RollingReadout, sheared_beams, spot_position_px
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import SmoothSeries
 from acquisition.simulation.true_path import axes_motion
@@ -75,6 +75,11 @@ class Scene:
 
     Frames are planned in order and earlier plans are discarded, so that memory does not grow with the
     duration of the run. The same settings, sensor settings and run give identical frames.
+
+    Attributes
+    ----------
+    block_frames
+        Frames to be planned at once: many for speed, but few where a controller's outputs act on the rig.
     """
 
     def __init__(
@@ -103,8 +108,10 @@ class Scene:
         self._pointing = Pointing(settings, self._noise, run, 1 / camera.frame_rate_hz)
         self._next = 0
         self._inputs = inputs
+        self.block_frames = _BLOCK_FRAMES
         self._outputs = ControllerOutputs(laser_w=settings.optics.laser_w)
         if inputs is not None:
+            self.block_frames = max(1, math.floor(MAX_REACTION_S * camera.frame_rate_hz))
             self._apply(inputs.start_run(), 0.0)
         brightness = camera.exposure_us / truth.exposure_us
         self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness * area
@@ -134,8 +141,10 @@ class Scene:
         is_pulsed = self._outputs.pulse_us > 0
         offset_px = self._pointing.offset_px(first, count)
         if self._rolling is None or is_pulsed:
-            # a pulse lights all rows at one time
-            position_px = self._spot_px(times_s + self._light_delay_s) + offset_px
+            # a pulse lights all rows at one time, its middle so long after that of the first row's exposure
+            beyond_us = 0.5 * (self._outputs.pulse_us - self._camera_settings.exposure_us)
+            delay_s = 1e-6 * (self._outputs.pulse_delay_us + beyond_us) if is_pulsed else 0.0
+            position_px = self._spot_px(times_s + delay_s) + offset_px
             slope = np.zeros((count, 2))
         else:
             moving_px = self._spot_px(self._rolling.times_s(times_s)).reshape(count, -1, 2)
@@ -165,14 +174,6 @@ class Scene:
         slow_rad, fast_rad = (series.at(times_s) for series in self._base_tilts_rad)
         zeros = np.zeros_like(times_s)
         return self._position_px(fast_rad, slow_rad, times_s) - self._position_px(zeros, zeros, times_s)
-
-    @property
-    def _light_delay_s(self) -> float:
-        """Time in s from the middle of the first row's exposure to the middle of the light's pulse."""
-        outputs = self._outputs
-        if not outputs.pulse_us:
-            return 0.0
-        return 1e-6 * (outputs.pulse_delay_us + 0.5 * (outputs.pulse_us - self._camera_settings.exposure_us))
 
     def _pulse_fraction(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Light that the row under the spot collects from a pulse, relative to that without pulses."""
@@ -213,7 +214,7 @@ class Scene:
         x = (plan.x_px[frames] - 0.5 * (binning - 1)) / binning - camera.offset_x_px
         y = (plan.y_px[frames] - 0.5 * (binning - 1)) / binning - camera.offset_y_px
         main = np.column_stack((x, y, peak_e))
-        sheared = ShearedBeams(optics, plan.slope[frames])
+        shapes, ghost_px = sheared_beams(optics, plan.slope[frames])
         reference = self._settings.reference
         # the settings allow either a reference spot or a ghost
         if reference.relative > 0:
@@ -221,13 +222,13 @@ class Scene:
             position = (position - 0.5 * (binning - 1)) / binning - (camera.offset_x_px, camera.offset_y_px)
             second = np.column_stack((position, peak_e * reference.relative))
         else:
-            ghost_x, ghost_y = x + sheared.ghost_dx_px / binning, y + sheared.ghost_dy_px / binning
-            second = np.column_stack((ghost_x, ghost_y, peak_e * optics.ghost_relative))
+            position = np.column_stack((x, y)) + ghost_px / binning
+            second = np.column_stack((position, peak_e * optics.ghost_relative))
         images = np.empty((len(x), camera.height_px, camera.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,
             self._light_e,
-            sheared.shapes / (binning, binning, 1),
+            shapes / (binning, binning, 1),
             main,
             second,
             self._readout,
@@ -268,8 +269,3 @@ class Scene:
             jitter_s = clock.jitter_s * self._noise.normals(CLOCK, first, len(times_s))[:, 0]
             exact_ns += np.rint(np.clip(jitter_s, -0.4 * period_s, 0.4 * period_s) * NS_PER_S)
         return np.maximum(exact_ns, 0).astype(np.int64)
-
-
-def block_frames(frame_rate_hz: float, is_controlled: bool) -> int:
-    """Frames to be planned at once: many for speed, but few where a controller's outputs act on the rig."""
-    return max(1, math.floor(MAX_REACTION_S * frame_rate_hz)) if is_controlled else _BLOCK_FRAMES

@@ -1,14 +1,11 @@
 """Smooth functions of time, random or not: quintic splines over even knots, computed block by block.
 
-Stationary noise of a given spectrum is the spline whose B-spline coefficients are filtered white noise.
-The filter's gain is the wanted amplitude spectral density divided by that of the
-B-spline, sinc(f/rate)^6, and falls to 0 between the band's end and 1.25 times it. With four knots per
-period of the band's end, the images of the band about the knots' rate hold less than 1e-5 of its power
-(8e-5 in the falling part). The result has four continuous derivatives and is a polynomial between knots,
-so that an integrator that stops at the knots integrates it without error.
-
-Every white number depends only on its position and a key, so that a series does not depend on when, and in
-which steps, it is read. Memory holds two blocks.
+Stationary noise of a given spectrum is the spline whose B-spline coefficients are filtered white noise. The
+filter's gain is the wanted amplitude spectral density divided by that of the B-spline, sinc(f/rate)^6, and
+falls to 0 between the band's end and 1.25 times it. With four knots per period of the band's end, the images
+of the band about the knots' rate hold less than 1e-5 of its power (8e-5 in the falling part). Between knots
+the result is a polynomial, which an integrator that stops at the knots integrates without error. A series
+does not depend on when, and in which steps, it is read. Memory holds two blocks.
 """
 
 import math

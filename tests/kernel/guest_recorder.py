@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.writer import RecordWriter
-from processing.deflections import Deflections, DeflectionUnit
-from processing.spot import Spot
+from tests.acquisition.record.samples import write_frames
 
 RATE_HZ = 100.0
 BLOCK = 5
@@ -34,16 +33,10 @@ def record(path: Path) -> None:
     """Record until somebody ends this machine."""
     rng = np.random.default_rng(0)
     pixels = rng.poisson(30, (64, 48, 48)).astype(np.uint8)
-    spot = Spot(*[1.0] * 10, flags=0)
     writer = RecordWriter(path, time.time_ns(), metadata={"session": {"operator": "test"}})
     start_s, first = time.monotonic(), 0
     while True:
-        sequences = list(range(first, first + BLOCK))
-        times_ns = np.array(sequences) * round(1e9 / RATE_HZ)
-        deflections = Deflections(times_ns, *rng.normal(size=(4, BLOCK)), DeflectionUnit.RAD)
-        writer.write_spots(sequences, times_ns.tolist(), times_ns.tolist(), [spot] * BLOCK, deflections)
-        for sequence, time_ns in zip(sequences, times_ns.tolist(), strict=True):
-            writer.write_window(sequence, time_ns, pixels[sequence % 64], 1, 2)
+        write_frames(writer, range(first, first + BLOCK), round(1e9 / RATE_HZ), rng, pixels)
         first += BLOCK
         print(f"{HANDED}{first - 1}", flush=True)
         time.sleep(max(0.0, start_s + first / RATE_HZ - time.monotonic()))

@@ -222,7 +222,9 @@ class BufferReader:
             self.numbers.lost_parts += 1
             return None
         now_ns = time.monotonic_ns()
-        arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
+        # libaravis states the arrival on the wall clock
+        age_ns = min(max(time.time_ns() - buffer.get_system_timestamp(), 0), now_ns)
+        arrived_ns = self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
         lacked_buffers = self._underruns.occurred(arrived_ns, now_ns, underruns)
         lost: LossCause = "dropped_by_host" if lacked_buffers else "dropped_by_bus"
         number = self.numbers.number(buffer.get_frame_id(), lost)
@@ -231,9 +233,3 @@ class BufferReader:
         image = expected.image(np.frombuffer(data, np.uint8), x_padding)
         device_time_ns = buffer.get_timestamp() if expected.has_clock else -1
         return Frame(image, number, device_time_ns, arrived_ns)
-
-    def _arrived_ns(self, now_ns: int, wall_time_ns: int) -> int:
-        """Arrival in ns on the monotonic clock, from libaravis's time of arrival on the wall clock."""
-        age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
-        self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
-        return self._host_time_ns

@@ -104,10 +104,7 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
 
 
 def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
-    """Times of frames that were taken at a stated rate; missing frames count, too.
-
-    Raises DeviceError where a frame's time differs from the film's own time.
-    """
+    """Times at a stated rate, missing frames counted; DeviceError where the film's own times differ."""
     numbers: Sequence[int] = range(source.count)
     if settings.numbering == "names" and source.numbers is not None:
         numbers = source.numbers

@@ -97,10 +97,8 @@ class _Images:
 
 
 class _TiffImages(_Images):
-    """Images of a TIFF file; a cut-off file counts one image more, which is unreadable.
-
-    ImageJ, and optionally tifffile, writes one directory for any number of images, whose pixels follow each
-    other, and states their number in a note (ImageDescription).
+    """Images of a TIFF file, one more if it is cut off. ImageJ, and optionally tifffile, writes one directory
+    for all images, whose pixels follow each other, and states their number in a note (ImageDescription).
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,9 +152,8 @@ class _TiffImages(_Images):
 
 
 def _tiff_directories(path: Path) -> tuple[int, dict[int, Any], str]:
-    """Number of directories of a TIFF file, tags of the first, numpy's order of bytes; 0 of them if unknown.
-
-    A directory beyond the end of a file that was cut off counts, too.
+    """Number of directories of a TIFF file, one beyond the end of a cut file included (0: unknown), tags of
+    the first, and numpy's order of bytes.
     """
     count, tags, order = 0, dict[int, Any](), "<"
     try:
@@ -173,10 +170,7 @@ def _tiff_directories(path: Path) -> tuple[int, dict[int, Any], str]:
 
 
 def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
-    """The number of images that a note in a TIFF states; 0 if it states none.
-
-    Raises DeviceError if the images are not a series in time.
-    """
+    """Number of images that a TIFF's note states, or 0. Raises DeviceError for other than a time series."""
     if note.startswith("ImageJ"):
         counts = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
         axes = [name for name in ("channels", "slices", "frames") if counts.get(name, 1) > 1]

@@ -180,10 +180,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_TIMEOUT_S / 2)
 
     def _try_each(self, *steps: Callable[[], None], limit_s: float | None = None) -> None:
-        """Call each step, even if earlier ones failed because the camera does not answer.
-
-        Raises CameraLost where the camera is unplugged.
-        """
+        """Call each step, also after one that was not answered; CameraLost where the camera is unplugged."""
         assert self._channel is not None
         for step in steps:
             try:

@@ -198,7 +198,11 @@ class NodeMap(GenicamFeatures):
         self.renew()
         for name in dict.fromkeys(self._names_in("Root")):
             try:
-                reading = self._reading(name)
+                kind, access = self.kind(name), self.access(name)
+                value = self.get(name) if access in (READ_ONLY, READ_WRITE) else None
+                unit = self._node(name).unit if kind in _NUMBERS else ""
+                choices = self.choices(name) if access != NOT_IMPLEMENTED else ()
+                reading = FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
             except CameraLost:
                 raise
             except DeviceError as error:
@@ -220,13 +224,6 @@ class NodeMap(GenicamFeatures):
             names = [feature.node.name for feature in self._node(category).features]
         nested = (self._names_in(name) if self.kind(name) == "Category" else [name] for name in names)
         return [name for names in nested for name in names]
-
-    def _reading(self, name: str) -> FeatureReading:
-        kind, access = self.kind(name), self.access(name)
-        value = self.get(name) if access in (READ_ONLY, READ_WRITE) else None
-        unit = self._node(name).unit if kind in _NUMBERS else ""
-        choices = self.choices(name) if access != NOT_IMPLEMENTED else ()
-        return FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
 
     def _allowed(self, name: str, value: Any) -> Any:
         """The value in the feature's type; DeviceError, with the allowed values, if it is not allowed."""

@@ -1,5 +1,6 @@
 """Leader and trailer packets of a frame, and the registers that set up the stream."""
 
+import contextlib
 import struct
 from dataclasses import dataclass
 from typing import Final
@@ -169,6 +170,10 @@ def read_identity(channel: GenCpChannel) -> Identity:
     """Read the bootstrap registers, and set the channel to the camera's own packet sizes."""
     sbrm = _u64(channel, _SBRM_ADDRESS)
     response_time_s = _u32(channel, _MAX_RESPONSE_TIME_MS) / 1000.0
+    increment_ns = 0
+    with contextlib.suppress(RegisterRefused):
+        # a camera without a clock need not have the register
+        increment_ns = _u64(channel, _TIMESTAMP_INCREMENT)
     channel.set_limits(_u32(channel, sbrm + _MAX_COMMAND), _u32(channel, sbrm + _MAX_REPLY), response_time_s)
     return Identity(
         vendor=_text(channel, _MANUFACTURER),
@@ -177,26 +182,17 @@ def read_identity(channel: GenCpChannel) -> Identity:
         manifest_address=_u64(channel, _MANIFEST_ADDRESS),
         stream_address=_u64(channel, sbrm + _SIRM_ADDRESS),
         event_address=_u64(channel, sbrm + _EIRM_ADDRESS),
-        timestamp_increment_ns=_timestamp_increment(channel),
+        # a resolution of 1 s or more is no usable clock, and probably not the content of this register
+        timestamp_increment_ns=increment_ns if increment_ns < 1_000_000_000 else 0,
     )
-
-
-def _timestamp_increment(channel: GenCpChannel) -> int:
-    try:
-        increment = _u64(channel, _TIMESTAMP_INCREMENT)
-    except RegisterRefused:
-        return 0  # a camera without a clock need not have the register
-    # a resolution of 1 s or more is no usable clock, and probably not the content of this register
-    return increment if increment < 1_000_000_000 else 0
 
 
 def silence_events(channel: GenCpChannel, event_address: int) -> None:
     """Switch the event endpoint off, because it is never read, and some cameras stall when it is full."""
     if event_address:
-        try:
+        # a camera that rejects the command has no events to send
+        with contextlib.suppress(RegisterRefused):
             channel.write(event_address, struct.pack("<I", 0))
-        except RegisterRefused:
-            return  # a camera that rejects the command has no events to send
 
 
 class StreamRegisters:

@@ -109,7 +109,7 @@ class LinuxSource:
         self.device = known
         self._descriptor = -1
         self._name = "video device"
-        self._layout = kernel.PixelLayout(0, 0, "", 0, 0)
+        self._layout = kernel.PixelLayout(0, 0, "", 0)
         self._maps: list[mmap.mmap] = []
         self._started_ns = 0
         self._last_ns = 0

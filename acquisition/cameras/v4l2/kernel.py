@@ -65,7 +65,6 @@ class PixelLayout(NamedTuple):
     height_px: int
     fourcc: str
     row_bytes: int
-    image_bytes: int
 
 
 class Control(NamedTuple):
@@ -73,10 +72,8 @@ class Control(NamedTuple):
 
     number: int
     name: str
-    kind: int
     lowest: int
     highest: int
-    step: int
     can_be_set: bool
 
 
@@ -178,9 +175,9 @@ def controls(device: int) -> list[Control]:
             data = _call(device, _QUERY_CONTROL, struct.pack("<I64x", number))
         except OSError:
             return found
-        identity, kind, name, lowest, highest, step, _, flags = struct.unpack_from("<II32s4iI", data)
+        identity, kind, name, lowest, highest, _, _, flags = struct.unpack_from("<II32s4iI", data)
         if kind != 6:  # the title of a group of controls
-            found.append(Control(identity, _text(name), kind, lowest, highest, step, not flags & CONTROL_OFF))
+            found.append(Control(identity, _text(name), lowest, highest, not flags & CONTROL_OFF))
         number = identity | NEXT_CONTROL
 
 
@@ -257,8 +254,8 @@ def _buffer(index: int) -> bytes:
 
 
 def _layout(data: bytes) -> PixelLayout:
-    width_px, height_px, fourcc, _, row_bytes, image_bytes = struct.unpack_from("<II4s3I", data, 8)
-    return PixelLayout(width_px, height_px, fourcc.decode("latin-1"), row_bytes, image_bytes)
+    width_px, height_px, fourcc, _, row_bytes = struct.unpack_from("<II4s2I", data, 8)
+    return PixelLayout(width_px, height_px, fourcc.decode("latin-1"), row_bytes)
 
 
 def _enumerated(device: int, code: int, request: Callable[[int], bytes]) -> Iterator[bytes]:

@@ -55,15 +55,12 @@ class CameraConformance:
 
     # life cycle
 
-    def test_open_says_who_it_is(self, camera: Camera) -> None:
+    def test_frames_are_what_the_camera_says(self, camera: Camera) -> None:
         info = camera.open()
         assert info.driver
-        assert info.width_px > 0
-        assert info.height_px > 0
+        assert min(info.width_px, info.height_px) > 0
         assert info.full_scale_dn >= 255
         camera.close()
-
-    def test_frames_are_what_the_camera_said(self, camera: Camera) -> None:
         with _running(camera) as applied:
             frames = _take(camera, FRAMES_NEEDED)
         for frame in frames:
@@ -72,11 +69,15 @@ class CameraConformance:
             assert frame.image.ndim == 2
             assert frame.image.shape == (applied.height_px, applied.width_px)
 
-    def test_read_before_start_is_refused(self, camera: Camera) -> None:
+    def test_read_before_start_is_refused_and_after_stop_gives_none(self, camera: Camera) -> None:
         camera.open()
         with pytest.raises(DeviceError):
             camera.read(0.1)
         camera.close()
+        with _running(camera):
+            _take(camera, 2)
+            camera.stop()
+            assert camera.read(0.1) is None
 
     @pytest.mark.parametrize("method", ["start", "configure"])
     def test_nothing_works_before_open(self, camera: Camera, method: str) -> None:
@@ -90,12 +91,6 @@ class CameraConformance:
                 camera.start() if method == "start" else camera.configure(CameraSettings())
             assert camera.read(READ_TIMEOUT_S) is not None
 
-    def test_read_after_stop_gives_none(self, camera: Camera) -> None:
-        with _running(camera):
-            _take(camera, 2)
-            camera.stop()
-            assert camera.read(0.1) is None
-
     def test_start_and_stop_fifty_times(self, camera: Camera) -> None:
         camera.open()
         camera.configure(CameraSettings())
@@ -106,14 +101,6 @@ class CameraConformance:
             assert first == 0 or self.SKIPS_WHEN_SLOW
             camera.stop()
         camera.close()
-
-    def test_open_and_close_repeat(self, camera: Camera) -> None:
-        for _ in range(3):
-            camera.open()
-            camera.configure(CameraSettings())
-            camera.start()
-            assert len(_take(camera, 2)) == 2
-            camera.close()
 
     def test_stop_and_close_may_come_at_any_time_and_repeat(self, camera: Camera) -> None:
         _within_limit(camera.stop)
@@ -126,10 +113,12 @@ class CameraConformance:
         _within_limit(camera.stop)
         _within_limit(camera.stop)
         _within_limit(camera.close)
-        _within_limit(camera.close)
-        camera.open()
-        camera.configure(CameraSettings())
-        camera.start()
+        for _ in range(3):
+            _within_limit(camera.close)
+            camera.open()
+            camera.configure(CameraSettings())
+            camera.start()
+            _take(camera, 2)
         _within_limit(camera.close)
 
     def test_stop_from_another_thread_while_frames_run(self, camera: Camera) -> None:
@@ -215,7 +204,7 @@ class CameraConformance:
             assert getattr(applied, name) == pytest.approx(wanted, rel=0.02)
         camera.close()
 
-    def test_region_of_interest(self, camera: Camera) -> None:
+    def test_region_of_interest_that_lies_on_the_sensor(self, camera: Camera) -> None:
         if not self.HAS_REGION:
             pytest.skip("this source has no region of interest")
         info = camera.open()
@@ -232,12 +221,6 @@ class CameraConformance:
         assert image.shape == (applied.height_px, applied.width_px)
         assert applied.width_px == asked.width_px
         assert applied.height_px == asked.height_px
-        camera.close()
-
-    def test_region_beyond_the_sensor_is_refused(self, camera: Camera) -> None:
-        if not self.HAS_REGION:
-            pytest.skip("this source has no region of interest")
-        info = camera.open()
         with pytest.raises(DeviceError, match=str(info.width_px)):
             camera.configure(CameraSettings(width_px=info.width_px, offset_x_px=8))
         camera.close()

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, PixelFormat
+from acquisition.camera import Camera, CameraSettings, Frame, PixelFormat
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, natural_key
@@ -234,18 +234,19 @@ def tiff(path: Path, images: NDArray[Any], note: str, directories: int = 1, **ta
 
 
 @pytest.mark.parametrize(("kind", "bits"), [("P5", 8), ("P6", 8), ("P5", 12)])
-def test_a_portable_map_is_read_and_several_in_one_file_are_refused(
+def test_a_portable_map_is_read_and_a_cut_one_or_several_in_one_file_are_skipped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, bits: int
 ) -> None:
     wanted = frames_of(bits, 3)[:, :20, :30]
     (tmp_path / "images").mkdir()
     maps = [netpbm(kind, image, 2**bits - 1, f"# P5 {k} 1\n") for k, image in enumerate(wanted)]
-    for number, data in enumerate([*maps, b"".join(maps)]):
+    for number, data in enumerate([*maps, b"".join(maps), maps[0], maps[0][:-1]]):
         (tmp_path / f"images/f{number}.pnm").write_bytes(data)
     camera, frames = play(tmp_path / "images")
-    assert np.array_equal([frame.image for frame in frames], wanted)
-    assert camera.status.incomplete == 1
+    assert np.array_equal([frame.image for frame in frames], wanted[[0, 1, 2, 0]])
+    assert camera.status.incomplete == 2
     assert "f3.pnm: skipped: the file holds several images" in caplog.text
+    assert "f5.pnm: skipped: the file ends after" in caplog.text
 
 
 def test_images_of_a_missing_file_of_several_leave_a_gap(
@@ -325,22 +326,6 @@ def test_unreadable_images_are_skipped_counted_and_leave_gaps(
         assert name in caplog.text
 
 
-def test_truncated_pgm_is_skipped(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "images", frames_of(16), ".pgm")
-    whole = (folder / "frame1.pgm").read_bytes()
-    (folder / "frame1.pgm").write_bytes(whole[:-1])
-    camera, frames = play(folder)
-    assert camera.status.incomplete == 1
-    assert len(frames) == COUNT - 1
-
-
-def test_mixed_depths_are_refused(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "images", frames_of(8, 1), ".png")
-    cv2.imwrite(str(folder / "frame1.png"), frames_of(16)[0])
-    assert "those of" in refusal(folder)
-    assert "convert them to one depth" in refusal(folder)
-
-
 def test_colour_is_refused_unless_stated_and_grey_saved_as_colour_is_grey(tmp_path: Path) -> None:
     grey = frames_of(8)[0]
     folder = tmp_path / "images"
@@ -357,14 +342,20 @@ def test_colour_is_refused_unless_stated_and_grey_saved_as_colour_is_grey(tmp_pa
     assert np.abs(mean - colours.mean(axis=2)).max() <= 0.5
 
 
-def test_region_is_cut_and_smaller_images_are_skipped(tmp_path: Path) -> None:
+def test_region_is_cut_and_images_of_another_size_are_skipped_counted_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     wanted = frames_of(8)
     folder = write_folder(tmp_path / "images", wanted, ".png")
-    cv2.imwrite(str(folder / "frame5.png"), wanted[5, :10, :10])
+    for number in (5, 6):
+        cv2.imwrite(str(folder / f"frame{number}.png"), wanted[5, :20, :30])
     region = CameraSettings(width_px=20, height_px=12, offset_x_px=3, offset_y_px=5)
-    _, frames = play(folder, region)
+    camera, frames = play(folder, region)
     assert np.array_equal(frames[0].image, wanted[0, 5:17, 3:23])
-    assert [frame.sequence for frame in frames] == [i for i in range(COUNT) if i != 5]
+    assert [frame.sequence for frame in frames] == [i for i in range(COUNT) if i not in (5, 6)]
+    assert camera.status.incomplete == 2
+    assert "frame5.png and 1 more" in caplog.text
+    assert "is 30x20 px" in caplog.text
 
 
 @pytest.fixture
@@ -423,12 +414,6 @@ def test_no_times_at_all_names_both_ways(folder: Path) -> None:
         FilesSettings(path=folder, timestamps_csv=folder / "timestamps.csv", frame_rate_hz=1.0)
 
 
-def test_video_without_stated_times_has_those_of_its_container(tmp_path: Path) -> None:
-    path = write_video(tmp_path / "video.mkv", frames_of(8))
-    _, frames = play(path, frame_rate_hz=None)
-    assert [frame.device_time_ns for frame in frames] == [i * 10_000_000 for i in range(COUNT)]
-
-
 def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "absent")
     (tmp_path / "empty").mkdir()
@@ -454,16 +439,10 @@ def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "a.png").write_bytes(b"x")
     assert "none of the 1 frames" in refusal(folder)
-
-
-def test_folder_that_goes_away_is_a_lost_camera(folder: Path) -> None:
-    camera = FilesCamera(FilesSettings(path=folder, frame_rate_hz=100.0))
-    camera.open()
-    camera.start()
-    assert camera.read(1.0) is not None
-    shutil.rmtree(folder)
-    with pytest.raises(CameraLost, match="no longer available"):
-        camera.read(1.0)
+    for name, bits in (("b.png", 8), ("c.png", 16)):
+        cv2.imwrite(str(folder / name), frames_of(bits)[0])
+    assert "those of" in (said := refusal(folder))
+    assert "convert them to one depth" in said
 
 
 def test_real_beams_run_through(shared_data: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from acquisition.cameras.files.film import FilmSource
 from acquisition.cameras.files.film_index import film_index
 from acquisition.cameras.files.sources import numbers_in
-from tests.acquisition.cameras.film_cases import FRAMES, Case, Outcome, cut, judged, matrix
+from tests.acquisition.cameras.film_cases import FRAMES, Outcome, cut, judged, matrix
 from tests.acquisition.cameras.made_films import Film, picture, places, write_film
 from tests.acquisition.cameras.test_files import frames_of, play, refusal, write_folder
 
@@ -156,21 +156,5 @@ def test_images_missing_from_a_folder_leave_a_gap_in_time(
     assert [frame.sequence for frame in frames] == list(range(9))
 
 
-def test_an_image_of_another_size_is_counted_and_said(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    import cv2
-
-    folder = write_folder(tmp_path / "images", frames_of(8, 6), ".png")
-    for number in (3, 4):
-        cv2.imwrite(str(folder / f"frame{number}.png"), frames_of(8)[0, :20, :30])
-    camera, frames = play(folder)
-    assert [frame.sequence for frame in frames] == [0, 1, 2, 5]
-    assert camera.status.incomplete == 2
-    assert "frame3.png and 1 more" in caplog.text
-    assert "is 30x20 px" in caplog.text
-
-
 def test_every_case_has_a_name_of_its_own() -> None:
     assert len(CASES) == len(matrix()) >= 60
-    assert all(isinstance(case, Case) for case in CASES.values())

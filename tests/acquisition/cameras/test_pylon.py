@@ -96,15 +96,13 @@ def test_two_hundred_pictures_come_byte_for_byte(tmp_path: Path) -> None:
     camera.close()
 
 
-def test_a_region_may_grow_again_up_to_the_end_of_the_sensor_and_no_further() -> None:
-    camera = PylonCamera()
+def test_a_region_may_grow_again_up_to_the_end_of_the_sensor_and_no_further(camera: PylonCamera) -> None:
     info = camera.open()
     camera.configure(CameraSettings(width_px=64, offset_x_px=128))
     end_px = info.width_px - 128
     assert camera.configure(CameraSettings(width_px=end_px)).width_px == end_px
     with pytest.raises(DeviceError):
         camera.configure(CameraSettings(width_px=end_px + 8))
-    camera.close()
 
 
 def test_a_software_trigger_gives_one_frame_each() -> None:

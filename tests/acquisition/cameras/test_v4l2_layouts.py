@@ -30,7 +30,7 @@ def test_packed_pixels_are_those_of_the_sensor(fourcc: str, bits: int, group: in
             start = y * row_bytes + x // group * (group + 1)
             buffer[start + x % group] = int(pixels[y, x]) >> low
             buffer[start + group] |= (int(pixels[y, x]) & ((1 << low) - 1)) << (low * (x % group))
-    layout = PixelLayout(width, height, fourcc, row_bytes, len(buffer))
+    layout = PixelLayout(width, height, fourcc, row_bytes)
     assert image_bytes(layout) == len(buffer)
     image = to_image(memoryview(buffer), layout)
     assert np.array_equal(image, pixels)
@@ -71,7 +71,7 @@ def test_one_colour_of_a_mosaic(fourcc: str) -> None:
         buffer = bytes(rows)
     else:
         buffer = values.astype("u1" if bits == 8 else "<u2").tobytes()
-    layout = PixelLayout(width, height, fourcc, len(buffer) // height, len(buffer))
+    layout = PixelLayout(width, height, fourcc, len(buffer) // height)
     planes: tuple[ColourPlane, ...] = ("red", "green", "blue")
     for plane in planes:
         image = to_image(memoryview(buffer), layout, plane)

@@ -16,6 +16,7 @@ from processing.swing import HalfCycle
 EPOCH_OFFSET_NS = 1_790_000_000_000_000_000
 FRAME_NS = 10_000_000
 BLOCK = 16
+SPOT = Spot(*[1.0] * 10, flags=0)
 
 
 def sample_balance(rng: np.random.Generator, time_ns: int, unit: DeflectionUnit) -> Balance:
@@ -89,6 +90,18 @@ def write_sample(
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")
     return done
+
+
+def write_frames(
+    writer: RecordWriter, sequences: range, interval_ns: int, rng: np.random.Generator, pixels: np.ndarray
+) -> None:
+    """Spots and windows of consecutive frames; the windows are taken in turn from a stack (n, ny, nx)."""
+    times_ns = [sequence * interval_ns for sequence in sequences]
+    values = rng.normal(size=(4, len(sequences)))
+    deflections = Deflections(np.array(times_ns), *values, DeflectionUnit.RAD)
+    writer.write_spots(sequences, times_ns, times_ns, [SPOT] * len(sequences), deflections)
+    for sequence, time_ns in zip(sequences, times_ns, strict=True):
+        writer.write_window(sequence, time_ns, pixels[sequence % len(pixels)], 1, 2)
 
 
 def _spot(rng: np.random.Generator, sequence: int) -> Spot:

@@ -20,8 +20,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
-from processing.spot import Spot
-from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, SPOT, write_sample
 
 FRAMES = 64
 
@@ -333,12 +332,9 @@ def test_gaps_and_repeated_frames_are_told(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     sequences = [0, 1, 2, 5, 6, 9, 9, 8]
     with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
-        times = np.array(sequences) * 1000
-        ones = np.ones(len(sequences))
-        spots = [Spot(*[1.0] * 10, flags=0)] * len(sequences)
-        zeros = [0] * len(sequences)
-        deflections = Deflections(times, ones, ones, ones, ones, DeflectionUnit.RAD)
-        writer.write_spots(sequences, zeros, zeros, spots, deflections)
+        ones = np.ones((4, len(sequences)))
+        deflections = Deflections(np.array(sequences) * 1000, *ones, DeflectionUnit.RAD)
+        writer.write_spots(sequences, sequences, sequences, [SPOT] * len(sequences), deflections)
     findings = check_record(path)
     assert Finding("warning", "/spot: 4 frames are missing: 3-4, 7-8") in findings
     assert any("the time decreases 1 times" in text for text in errors(findings))

@@ -23,13 +23,10 @@ from acquisition.record.events import end_of
 from acquisition.record.mcap_file import McapFile, Reserve
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
-from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
-from processing.spot import Spot
 from processing.swing import HalfCycle
-from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_frames, write_sample
 
-SPOT = Spot(*[1.0] * 10, flags=0)
 DISK_BYTES = 3 * 1024 * 1024
 DRIVE_BYTES = 32 * 1024 * 1024
 EXT4_SHUTDOWN = 0x8004587D
@@ -86,15 +83,9 @@ def record_until_full(writer: RecordWriter) -> tuple[int, str]:
     """Frames handed over before the error, and what it says."""
     rng = np.random.default_rng(0)
     for first in range(0, 100_000, 8):
-        sequences = list(range(first, first + 8))
-        times = np.array(sequences) * 1_000_000
-        values = rng.normal(size=(4, 8))
         try:
-            deflections = Deflections(times, *values, DeflectionUnit.RAD)
-            writer.write_spots(sequences, times.tolist(), times.tolist(), [SPOT] * 8, deflections)
-            for sequence in sequences:
-                pixels = rng.integers(0, 255, (48, 48), dtype=np.uint8)
-                writer.write_window(sequence, sequence * 1_000_000, pixels, 0, 0)
+            pixels = rng.integers(0, 255, (8, 48, 48), dtype=np.uint8)
+            write_frames(writer, range(first, first + 8), 1_000_000, rng, pixels)
             if first % 64 == 0:
                 writer.flush()
         except RecordError as error:

@@ -19,16 +19,13 @@ from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.topics import (
-    BALANCE,
-    BALANCE_UNCALIBRATED,
     ENVIRONMENT,
     EVENT,
     HALF_CYCLE,
-    HALF_CYCLE_UNCALIBRATED,
     REFERENCE,
     SEISMOMETER,
     SPOT,
-    SPOT_UNCALIBRATED,
+    TYPES_BY_UNIT,
     WINDOW,
     ClockAnchor,
     Environment,
@@ -48,8 +45,9 @@ from tests.acquisition.record.samples import (
     sample_balance,
     write_sample,
 )
+from tests.acquisition.record.samples import SPOT as SPOT_OF_ONES
 
-OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, HALF_CYCLE, HALF_CYCLE_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
+OF_DEFLECTIONS = [kind for kinds in TYPES_BY_UNIT.values() for kind in kinds]
 ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, SEISMOMETER, REFERENCE]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
@@ -205,11 +203,12 @@ def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
 
 
 def test_deflections_in_another_unit_than_the_records_are_refused(tmp_path: Path) -> None:
-    one = np.ones(1)
-    with RecordWriter(tmp_path / "run.mcap", 0) as writer:
-        in_px = Deflections(np.array([0]), one, one, one, one, DeflectionUnit.PX)
-        with pytest.raises(ValueError, match="its deflections are in rad; values in px"):
-            writer.write_spots([0], [0], [0], [Spot(*[1.0] * 10, flags=0)], in_px)
+    in_px = Deflections(np.array([0]), *np.ones((4, 1)), DeflectionUnit.PX)
+    with (
+        RecordWriter(tmp_path / "run.mcap", 0) as writer,
+        pytest.raises(ValueError, match="its deflections are in rad; values in px"),
+    ):
+        writer.write_spots([0], [0], [0], [SPOT_OF_ONES], in_px)
 
 
 @pytest.mark.parametrize("unit", DeflectionUnit)
@@ -240,11 +239,9 @@ def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
 
 def test_a_cameras_missing_clock_and_negative_times_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    spot = Spot(*[1.0] * 10, flags=0)
     with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
-        one = np.ones(1)
-        deflections = Deflections(np.array([-5]), one, one, one, one, DeflectionUnit.RAD)
-        writer.write_spots([4], [-1], [-5], [spot], deflections)
+        deflections = Deflections(np.array([-5]), *np.ones((4, 1)), DeflectionUnit.RAD)
+        writer.write_spots([4], [-1], [-5], [SPOT_OF_ONES], deflections)
     with RecordReader(path) as reader:
         row = reader.spots()[0]
         assert (row["device_time_ns"], row["host_time_ns"], row["time_ns"]) == (-1, -5, -5)

@@ -16,11 +16,10 @@ import numpy as np
 
 from acquisition.camera import Frame
 from acquisition.record.writer import RecordWriter
-from processing.deflections import Deflections, DeflectionUnit
-from processing.spot import Spot
+from tests.acquisition.record.samples import write_frames
 
 BLOCK = 8
-RATE_HZ = 400.0
+INTERVAL_NS = 2_500_000
 
 
 def main() -> None:
@@ -40,26 +39,19 @@ def write(path: Path, report: Path) -> None:
     said = report.open("w", buffering=1)
     rng = np.random.default_rng(0)
     pixels = rng.poisson(30, (64, 96, 96)).astype(np.uint8)
-    spot = Spot(*[1.0] * 10, flags=0)
     writer = RecordWriter(path, time.time_ns(), metadata={"session": {"operator": "test"}})
     start_s = time.monotonic()
     first = 0
     print("begun", file=said)
     while time.monotonic() - start_s < 60.0:
-        sequences = list(range(first, first + BLOCK))
         begun_s = time.monotonic()
-        times = np.array(sequences) * round(1e9 / RATE_HZ)
-        values = rng.normal(size=(4, BLOCK))
-        deflections = Deflections(times, *values, DeflectionUnit.RAD)
-        writer.write_spots(sequences, times.tolist(), times.tolist(), [spot] * BLOCK, deflections)
-        for sequence in sequences:
-            time_ns = int(times[sequence - first])
-            writer.write_window(sequence, time_ns, pixels[sequence % 64], 1, 2)
+        write_frames(writer, range(first, first + BLOCK), INTERVAL_NS, rng, pixels)
         if first % 400 == 0:
-            writer.write_image(Frame(rng.poisson(9, (480, 640)).astype(np.uint8), first, int(times[0]), 0))
+            image = rng.poisson(9, (480, 640)).astype(np.uint8)
+            writer.write_image(Frame(image, first, first * INTERVAL_NS, 0))
         first += BLOCK
         print(f"{begun_s:.6f} {first - 1}", file=said)
-        time.sleep(max(0.0, start_s + first / RATE_HZ - time.monotonic()))
+        time.sleep(max(0.0, start_s + first * INTERVAL_NS * 1e-9 - time.monotonic()))
 
 
 if __name__ == "__main__":

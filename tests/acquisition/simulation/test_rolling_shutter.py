@@ -10,7 +10,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.motion import motions
-from acquisition.simulation.optics import spot_position_px
+from acquisition.simulation.optics import sheared_beams, spot_position_px
 from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from acquisition.simulation.true_path import axes_motion
@@ -30,6 +30,13 @@ def settings_of(row_time_s: float, first_row: str = "top") -> SimulationSettings
     return SimulationSettings(sensor=sensor, optics=OpticsTruth(peak_dn=40000.0))
 
 
+def view(
+    settings: SimulationSettings, x: int, y: int, nx: int, ny: int, rate_hz: float = 100.0, binning: int = 1
+) -> Scene:
+    readings = SensorSettings(x, y, nx, ny, 16, 100.0, 0.0, rate_hz, binning)
+    return Scene(settings, FaultSettings(), readings, 0)
+
+
 def integrated(pixel: np.ndarray, centre_px: np.ndarray, sigma_px: float) -> np.ndarray:
     """A Gaussian of unit height over each pixel."""
     upper, lower = (ndtr((np.asarray(pixel) + edge - centre_px) / sigma_px) for edge in (0.5, -0.5))
@@ -39,8 +46,7 @@ def integrated(pixel: np.ndarray, centre_px: np.ndarray, sigma_px: float) -> np.
 @pytest.mark.parametrize("first_row", ["top", "bottom"])
 def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
     settings = settings_of(30e-6, first_row)
-    readings = SensorSettings(0, TOP, 120, ROWS, 16, 100.0, 0.0, 100.0)
-    scene = Scene(settings, FaultSettings(), readings, 0)
+    scene = view(settings, 0, TOP, 120, ROWS)
     plan = scene.plan(121)
     fast, slow = motions(settings, 0)
     rows = np.arange(ROWS)
@@ -62,23 +68,26 @@ def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
 
 @pytest.mark.parametrize("first_row", ["top", "bottom"])
 def test_a_region_of_one_row_is_exposed_at_one_time(first_row: str) -> None:
-    readings = SensorSettings(0, 330, 120, 1, 16, 100.0, 0.0, 100.0)
     rolling, still = (
-        Scene(settings_of(row_time_s, first_row), FaultSettings(), readings, 0).plan(50)
-        for row_time_s in (30e-6, 0.0)
+        view(settings_of(row_time_s, first_row), 0, 330, 120, 1).plan(50) for row_time_s in (30e-6, 0.0)
     )
     assert rolling.y_px == pytest.approx(still.y_px, abs=1e-9)
     assert rolling.slope == pytest.approx(still.slope, abs=1e-9)
+    assert not still.slope.any()
+
+
+def test_a_ghost_lies_where_it_is_when_its_own_rows_are_exposed() -> None:
+    slope = np.array([[0.2, 0.1], [0.0, 0.0]])
+    _, ghost_px = sheared_beams(OpticsTruth(ghost_dx_px=40.0, ghost_dy_px=30.0), slope)
+    assert ghost_px == pytest.approx([40.0, 30.0] + slope * ghost_px[:, 1:])
 
 
 @pytest.mark.parametrize("row_time_s", [0.0, 30e-6])
 def test_a_binned_image_is_the_mean_of_the_sensors_pixels(row_time_s: float) -> None:
     """In a region, too, and with each row of the sensor at its own time."""
     settings = settings_of(row_time_s)
-    whole = Scene(settings, FaultSettings(), SensorSettings(0, 0, 120, 402, 16, 100.0, 0.0, 50.0), 0)
-    part = Scene(
-        settings, FaultSettings(), SensorSettings(10, 30, 20, 100, 16, 100.0, 0.0, 50.0, binning=3), 0
-    )
+    whole = view(settings, 0, 0, 120, 402, 50.0)
+    part = view(settings, 10, 30, 20, 100, 50.0, binning=3)
     plan = whole.plan(200)
     frame = int(np.argmin(np.abs(plan.y_px - 240.0)))
     (image,) = whole.draw(plan, slice(frame, frame + 1)).astype(float)
@@ -93,7 +102,7 @@ def test_rows_of_a_binned_image_are_later_by_as_many_row_times(binning: int) -> 
     """The time that is right for the rows of the image is that at which the spot was there."""
     settings = settings_of(20e-6)
     rows = 640 // binning
-    scene = Scene(settings, FaultSettings(), SensorSettings(0, 0, 40, rows, 16, 100.0, 0.0, 50.0, binning), 0)
+    scene = view(settings, 0, 0, 40, rows, 50.0, binning)
     plan = scene.plan(200)
     frames = range(40, 200, 40)
     images = [scene.draw(plan, slice(n, n + 1))[0].astype(float) for n in frames]
@@ -128,10 +137,3 @@ def test_a_readout_longer_than_a_frame_is_refused() -> None:
     camera.start()
     assert camera.read(1.0) is not None
     camera.close()
-
-
-def test_a_global_shutter_draws_the_same_frames_as_ever() -> None:
-    plan = Scene(
-        settings_of(0.0), FaultSettings(), SensorSettings(0, 0, 120, 640, 16, 100.0, 0.0, 100.0), 0
-    ).plan(10)
-    assert not plan.slope.any()

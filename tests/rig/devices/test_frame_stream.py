@@ -20,9 +20,10 @@ from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices import frame_stream
 from rig.devices.frame_stream import FrameStream, raise_if_slept, read_sleep_ns
-from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.rig.devices.streams import Driver, Run, frames_of
+from tests.waiting import until
 
 RATE_HZ = 100.0
 
@@ -152,7 +153,7 @@ def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing
     assert stream.begin() is not None
     # the one that reads, and the one that notices when all of them stand still
     assert threading.active_count() == before + 1
-    assert wait_until(lambda: stream.losses.by_host > 100, 60.0)
+    until(lambda: stream.losses.by_host > 100)
     stream.close()
     frames = stream.take(10_000, 0.0)
     assert [frame.sequence for frame in frames] == list(range(len(frames)))
@@ -171,7 +172,7 @@ def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
         return Frame(np.zeros((2, 2), np.uint8), number, device_ns, device_ns // 8)
 
     stream = scripted(Driver(eight_times_as_fast))
-    assert wait_until(lambda: bool(stream.end_reason), 60.0)
+    until(lambda: stream.end_reason)
     stream.close()
     assert "times as fast as the computer" in str(stream.failure)
 

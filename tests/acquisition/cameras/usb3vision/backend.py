@@ -2,7 +2,6 @@
 
 import errno
 import struct
-import time
 from array import array
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -199,13 +198,3 @@ class InProcessBackend(usb.backend.IBackend):  # type: ignore[misc]
 def camera_on(device: VisionDevice, **settings: object) -> Usb3VisionCamera:
     """The driver on a bus with this camera alone."""
     return Usb3VisionCamera(Usb3VisionSettings.model_validate(settings), InProcessBackend(device))
-
-
-def wait_until(condition: Any, timeout_s: float = 5.0) -> bool:
-    """Poll until the condition holds; False when it does not in time."""
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.002)
-    return True

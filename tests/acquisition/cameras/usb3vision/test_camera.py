@@ -20,9 +20,10 @@ from acquisition.cameras.usb3vision.link import find_camera, find_cameras
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
-from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, camera_on, wait_until
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, camera_on
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.registers import EIRM
+from tests.waiting import until
 
 SOON_S = 4.0
 """Less than the time for which an answer is waited for, on a busy machine."""
@@ -155,10 +156,16 @@ def test_timestamps_are_ns_whatever_their_resolution(step_ns: int, caplog: pytes
         assert after_ns - before_ns == pytest.approx(10_000_000, abs=step_ns)
 
 
-def test_unplugged_and_plugged_again_the_counts_go_on(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
-    camera.start()
+def test_a_clock_that_counts_in_seconds_is_none() -> None:
+    camera = camera_on(VisionDevice(clock_step_ns=1_000_000_000))
+    assert not camera.open().has_clock
+    camera.close()
+
+
+def test_unplugged_and_plugged_again_the_counts_go_on(
+    running: Usb3VisionCamera, device: VisionDevice
+) -> None:
+    camera = running
     for _ in range(5):
         assert camera.read(2.0) is not None
     device.faults.unplug_after_stream_bytes = device._streamed + 100_000  # in the middle of a frame
@@ -178,7 +185,6 @@ def test_unplugged_and_plugged_again_the_counts_go_on(device: VisionDevice) -> N
     assert frame.sequence == 0
     assert camera.status.reconnects == 1
     assert camera.status.delivered == delivered + 1
-    camera.close()
 
 
 def test_what_a_slow_reader_leaves_to_the_camera_is_lost_there_and_counted() -> None:
@@ -233,7 +239,7 @@ def test_stop_and_close_return_in_time_while_open_hangs(monkeypatch: pytest.Monk
 
     thread = threading.Thread(target=opening, daemon=True)
     thread.start()
-    assert wait_until(lambda: device.commands > 0)
+    until(lambda: device.commands > 0)
     begin_s = time.monotonic()
     camera.close()
     assert time.monotonic() - begin_s < SOON_S

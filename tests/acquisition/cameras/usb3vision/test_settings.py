@@ -203,6 +203,15 @@ def test_each_edge_on_the_trigger_line_gives_one_frame(
     assert camera.read(2.0) is not None, "without the setting it runs freely again"
 
 
+def test_a_trigger_that_is_set_as_a_feature_stays_on(camera: Usb3VisionCamera, device: VisionDevice) -> None:
+    camera.configure(CameraSettings(features={"TriggerSource": "Line3", "TriggerMode": "On"}))
+    camera.start()
+    with pytest.raises(FrameTimeout):
+        camera.read(0.05)
+    device.edge(3)
+    assert camera.read(2.0) is not None
+
+
 def test_the_exposure_is_shown_on_the_line_that_is_named(
     camera: Usb3VisionCamera, device: VisionDevice
 ) -> None:

@@ -50,14 +50,23 @@ def streaming(
         camera.close()
 
 
+def written(data: bytes, at: int, form: str, value: int) -> bytes:
+    """A unit with another number at a place in it."""
+    piece = struct.pack(form, value)
+    return data[:at] + piece + data[at + len(piece) :]
+
+
+def all_leaders(at: int, form: str, value: int) -> Units:
+    """Write a number into every leader."""
+    return lambda kind, block, data: [written(data, at, form, value) if kind == "leader" else data]
+
+
 def on_blocks(blocks: set[int], kind: str, damage: Callable[[bytes], list[bytes]]) -> Units:
     """Damage one kind of unit of these blocks."""
     return lambda k, block, data: damage(data) if k == kind and block in blocks else [data]
 
 
-def read_until(
-    camera: Usb3VisionCamera, device: VisionDevice, last: int, timeout_s: float = 2.0
-) -> list[Frame]:
+def read_until(camera: Usb3VisionCamera, last: int, timeout_s: float = 2.0) -> list[Frame]:
     """Frames up to this number."""
     frames: list[Frame] = []
     while not frames or frames[-1].sequence < last:
@@ -77,10 +86,10 @@ DAMAGES = [
     ("leader", lambda d: [b"\0" + d[1:]]),
     ("leader", lambda d: [d[:20]]),
     ("leader", lambda d: [d, d]),
-    ("leader", lambda d: [d[:18] + struct.pack("<H", 9) + d[20:]]),
-    ("leader", lambda d: [d[:8] + struct.pack("<Q", 1 << 50) + d[16:]]),
-    ("leader", lambda d: [d[:28] + struct.pack("<I", 0x01080009) + d[32:]]),
-    ("leader", lambda d: [d[:32] + struct.pack("<I", 999) + d[36:]]),
+    ("leader", lambda d: [written(d, 18, "<H", 9)]),
+    ("leader", lambda d: [written(d, 8, "<Q", 1 << 50)]),
+    ("leader", lambda d: [written(d, 28, "<I", 0x01080009)]),
+    ("leader", lambda d: [written(d, 32, "<I", 999)]),
     ("payload", lambda d: []),
     ("payload", lambda d: [d[:100]]),
     ("payload", lambda d: [d[: 2048 if len(d) > 2048 else 8]]),
@@ -88,23 +97,20 @@ DAMAGES = [
     ("trailer", lambda d: []),
     ("trailer", lambda d: [b"\0" + d[1:]]),
     ("trailer", lambda d: [d[:10]]),
-    ("trailer", lambda d: [d[:8] + struct.pack("<Q", 12345) + d[16:]]),
-    ("trailer", lambda d: [d[:16] + struct.pack("<H", 0xA005) + d[18:]]),
-    ("trailer", lambda d: [d[:20] + struct.pack("<Q", 100) + d[28:]]),
+    ("trailer", lambda d: [written(d, 8, "<Q", 12345)]),
+    ("trailer", lambda d: [written(d, 16, "<H", 0xA005)]),
+    ("trailer", lambda d: [written(d, 20, "<Q", 100)]),
 ]
 
 
-@pytest.mark.parametrize(
-    ("kind", "damage"),
-    DAMAGES,
-)
+@pytest.mark.parametrize(("kind", "damage"), DAMAGES)
 def test_a_damaged_frame_is_counted_and_the_next_ones_are_good(
     kind: str, damage: Callable[[bytes], list[bytes]]
 ) -> None:
     device = patient()
     device.faults.units = on_blocks({5, 9, 10}, kind, damage)
     with streaming(device) as camera:
-        frames = read_until(camera, device, 20)
+        frames = read_until(camera, 20)
         status = camera.status
     check_images(frames, device)
     numbers = [frame.sequence for frame in frames]
@@ -127,7 +133,7 @@ def test_with_reads_under_way_damage_spreads_no_further_than_they_reach(
         Usb3VisionCamera, "_transfers", lambda self, link, ahead: EagerTransfers(device, 3, 0.0005)
     )
     with streaming(device) as camera:
-        frames = read_until(camera, device, 60)
+        frames = read_until(camera, 60)
         status = camera.status
     check_images(frames, device)
     numbers = [frame.sequence for frame in frames]
@@ -143,9 +149,7 @@ class PaddingCamera(VisionDevice):
 
     def __init__(self) -> None:
         super().__init__(frames_inside=100_000)
-        self.faults.units = lambda kind, block, data: [
-            data[:48] + struct.pack("<H", self.PADDING) + data[50:] if kind == "leader" else data
-        ]
+        self.faults.units = all_leaders(48, "<H", self.PADDING)
 
     @property
     def frame_bytes(self) -> int:
@@ -162,30 +166,26 @@ class PaddingCamera(VisionDevice):
 def test_padding_behind_the_rows_is_cut_off(pixel_format: PixelFormat) -> None:
     device = PaddingCamera()
     with streaming(device, settings=CameraSettings(pixel_format=pixel_format)) as camera:
-        frames = read_until(camera, device, 5)
+        frames = read_until(camera, 5)
     check_images(frames, device)
 
 
 @pytest.mark.parametrize("payload_type", [0x4000, 0x0005])
 def test_payload_that_is_no_image_is_refused_in_words(payload_type: int) -> None:
     device = patient()
-    device.faults.units = lambda kind, block, data: [
-        data[:18] + struct.pack("<H", payload_type) + data[20:] if kind == "leader" else data
-    ]
+    device.faults.units = all_leaders(18, "<H", payload_type)
     with (
         streaming(device) as camera,
         pytest.raises(DeviceError, match=f"0x{payload_type:04X}.*ChunkModeActive"),
     ):
-        read_until(camera, device, 50)
+        read_until(camera, 50)
 
 
 def test_chunks_behind_an_image_are_left_out() -> None:
     device = patient()
-    device.faults.units = lambda kind, block, data: [
-        data[:18] + struct.pack("<H", 0x4001) + data[20:] if kind == "leader" else data
-    ]
+    device.faults.units = all_leaders(18, "<H", 0x4001)
     with streaming(device) as camera:
-        frames = read_until(camera, device, 5)
+        frames = read_until(camera, 5)
     check_images(frames, device)
 
 
@@ -193,7 +193,7 @@ def test_blocks_that_the_camera_dropped_are_counted_as_its_own() -> None:
     device = patient()
     device.faults.units = lambda kind, block, data: [] if block in (3, 4, 7) else [data]
     with streaming(device) as camera:
-        frames = read_until(camera, device, 12)
+        frames = read_until(camera, 12)
         status = camera.status
     assert [frame.sequence for frame in frames] == [0, 1, 2, 5, 6, 8, 9, 10, 11, 12]
     assert (status.dropped_by_camera, status.dropped_by_bus, status.incomplete) == (3, 0, 0)
@@ -212,10 +212,10 @@ def test_a_camera_whose_own_memory_overflows_says_how_many() -> None:
 
     device.faults.units = units
     with streaming(device) as camera:
-        frames = read_until(camera, device, 0)
+        frames = read_until(camera, 0)
         # before the first frame there is no number from which a loss could be known
         before = device.frames_lost_inside
-        frames += read_until(camera, device, 100)
+        frames += read_until(camera, 100)
         status = camera.status
     assert status.dropped_by_camera == device.frames_lost_inside - before > 0
     for frame in frames:
@@ -232,7 +232,7 @@ def test_a_stalled_endpoint_is_cleared_and_the_frames_go_on() -> None:
 
     device.faults.units = stall
     with streaming(device) as camera:
-        frames = read_until(camera, device, 40)
+        frames = read_until(camera, 40)
         status = camera.status
     assert [frame.sequence for frame in frames] == [*range(20), *range(21, 41)]
     assert (status.dropped_by_bus, status.incomplete, status.dropped_by_camera) == (0, 1, 0)
@@ -245,11 +245,11 @@ def test_an_endpoint_that_stalls_again_and_again_is_a_lost_camera() -> None:
     device._halted.discard(STREAM_IN)
     halt, device.halt = device.halt, lambda endpoint: None  # type: ignore[method-assign]
     with streaming(device) as camera:
-        read_until(camera, device, 3)
+        read_until(camera, 3)
         halt(STREAM_IN)
         begin_s = time.monotonic()
         with pytest.raises(CameraLost, match="again and again"):
-            read_until(camera, device, 1 << 60)
+            read_until(camera, 1 << 60)
         assert time.monotonic() - begin_s < SOON_S
 
 
@@ -257,39 +257,33 @@ def test_an_endpoint_that_stalls_again_and_again_is_a_lost_camera() -> None:
 def test_unplugged_at_any_byte_of_a_frame(after_bytes: int) -> None:
     device = patient()
     with streaming(device) as camera:
-        read_until(camera, device, 2)
+        read_until(camera, 2)
         device.faults.unplug_after_stream_bytes = device._streamed + after_bytes
         begin_s = time.monotonic()
         with pytest.raises(CameraLost):
-            read_until(camera, device, 1 << 60)
+            read_until(camera, 1 << 60)
         assert time.monotonic() - begin_s < SOON_S
 
 
 def test_a_counter_that_begins_again_is_no_loss_of_thousands() -> None:
     device = patient(first_block=1000)
-    shift = {"by": 0}
 
     def renumber(kind: str, block: int, data: bytes) -> list[bytes]:
-        if block >= 1010:
-            shift["by"] = 1010
-        return (
-            [data[:8] + struct.pack("<Q", block - shift["by"]) + data[16:]] if kind != "payload" else [data]
-        )
+        shift = 1010 if block >= 1010 else 0
+        return [written(data, 8, "<Q", block - shift) if kind != "payload" else data]
 
     device.faults.units = renumber
     with streaming(device) as camera:
-        frames = read_until(camera, device, 30)
+        frames = read_until(camera, 30)
         assert [frame.sequence for frame in frames] == list(range(31))
         assert camera.status.dropped == 0
 
 
 def test_frames_with_an_error_status_are_counted_as_such() -> None:
     device = patient()
-    device.faults.units = lambda kind, block, data: [
-        data[:16] + struct.pack("<H", 0xA001) + data[18:] if kind == "trailer" and 3 < block < 9 else data
-    ]
+    device.faults.units = on_blocks(set(range(4, 9)), "trailer", lambda d: [written(d, 16, "<H", 0xA001)])
     with streaming(device) as camera:
-        frames = read_until(camera, device, 20)
+        frames = read_until(camera, 20)
         assert [frame.sequence for frame in frames] == [*range(4), *range(9, 21)]
         assert (camera.status.error_status, camera.status.dropped) == (5, 5)
 
@@ -305,7 +299,7 @@ def test_a_block_that_is_sent_twice_is_counted_and_nothing_is_missing() -> None:
 
     device.faults.units = again
     with streaming(device) as camera:
-        frames = read_until(camera, device, 20)
+        frames = read_until(camera, 20)
         assert [frame.sequence for frame in frames] == list(range(21))
         assert (camera.status.wrong_id, camera.status.dropped) == (1, 0)
 
@@ -317,15 +311,14 @@ def test_a_camera_that_has_reset_itself_is_lost_and_says_why() -> None:
     def reset(kind: str, block: int, data: bytes) -> list[bytes]:
         if kind == "payload" or block < 1010:
             return [data]
-        data = data[:8] + struct.pack("<Q", block - 1010) + data[16:]
-        if kind == "leader":
-            data = data[:20] + struct.pack("<Q", (block - 1010) * 1_000_000 + 5) + data[28:]
-        return [data]
+        data = written(data, 8, "<Q", block - 1010)
+        time_ns = (block - 1010) * 1_000_000 + 5
+        return [written(data, 20, "<Q", time_ns) if kind == "leader" else data]
 
     device.faults.units = reset
     with streaming(device) as camera:
         with pytest.raises(CameraLost, match="begun again, at 2 after 1009: it has reset itself"):
-            read_until(camera, device, 1 << 60)
+            read_until(camera, 1 << 60)
         assert camera.status.delivered == 10
         assert camera.status.wrong_id == 3
 
@@ -334,26 +327,24 @@ def test_silence_in_the_middle_of_a_frame_is_a_timeout_and_then_a_counted_loss()
     device = patient()
     units = device.faults.units
     with streaming(device) as camera:
-        read_until(camera, device, 3)
+        read_until(camera, 3)
         device.faults.units = lambda kind, block, data: [data] if kind == "leader" else []
         with pytest.raises(FrameTimeout):
-            read_until(camera, device, 1 << 60, 0.3)
+            read_until(camera, 1 << 60, 0.3)
         device.faults.units = units
-        frames = read_until(camera, device, 300)
+        frames = read_until(camera, 300)
         assert camera.status.incomplete > 10
         check_images(frames[-10:], device)
 
 
 def test_frames_of_another_size_than_announced_are_an_error_after_a_while() -> None:
     device = patient()
-    device.faults.units = lambda kind, block, data: (
-        [data[:32] + struct.pack("<I", 64) + data[36:]] if kind == "leader" and block > 3 else [data]
-    )
+    device.faults.units = all_leaders(32, "<I", 64)
     with (
         streaming(device) as camera,
         pytest.raises(DeviceError, match=r"sends frames of 64 x 102.*its features say 200 x 102 in Mono8"),
     ):
-        read_until(camera, device, 1 << 60)
+        read_until(camera, 1 << 60)
 
 
 # ---- fuzzed
