@@ -153,7 +153,8 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
         breaks = np.array(breaks)[~is_small].tolist()
         values, covariance, sigma = _segments(since_s, host_ahead_s, breaks)
     offsets = values[1:]
-    period_s, frame_jitter_s = _frame_period(since_s, sequence)
+    counted = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
+    (period_s, _), _, frame_jitter_s = _huber(counted, since_s)
     return ClockRelation(
         device_reference_ns=int(device_ns[0]),
         host_reference_ns=int(host_ns[0]) + nanoseconds(float(offsets[0])),
@@ -161,7 +162,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
         u_rate=float(np.sqrt(covariance[0, 0])),
         u_offset_s=float(np.sqrt(covariance[1, 1])),
         jitter_s=sigma,
-        frame_period_s=period_s,
+        frame_period_s=float(period_s),
         frame_jitter_s=frame_jitter_s,
         jumps=tuple(
             ClockJump(int(sequence[frame]), float(step))
@@ -179,10 +180,7 @@ def _segments(since_s: Floats, host_ahead_s: Floats, breaks: list[int]) -> tuple
 
 
 def _jumps(since_s: Floats, host_ahead_s: Floats) -> list[int]:
-    """Indices of frames at which host minus camera time steps permanently.
-
-    Medians over windows before and after are compared, so that a single late frame is not taken for a step.
-    """
+    """Frames at which host minus camera time steps permanently, by medians over windows before and after."""
     window = _JUMP_WINDOW
     if len(host_ahead_s) < 4 * window:
         return []
@@ -227,10 +225,3 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
         u_slope = u_wandering_slope(means, part_means(sigma / fraction_inside * psi))
         covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
-
-
-def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
-    """Mean interval of frames and the jitter about it, in s."""
-    design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
-    values, _, sigma = _huber(design, since_s)
-    return float(values[0]), sigma

@@ -137,9 +137,8 @@ class BalanceEstimator:
         )
 
     def _extend_search(self, until_ns: int) -> None:
-        """Search later if the pendulum was at rest, else in a longer window; after `_MAX_SEARCH_S`, or if the
-        oscillation has ended, begin anew.
-        """
+        """Search later if the pendulum was at rest, else in a longer window; at its limit, or after an end,
+        anew."""
         self._next_ns = None
         is_search = math.isnan(self._period_s)
         rest_end_ns = until_ns - nanoseconds(_LATER_FRACTION * self._search_s)
@@ -155,11 +154,8 @@ class BalanceEstimator:
             self._history.clear()
 
     def _is_at_rest(self, until_ns: int) -> bool:
-        """Whether the samples before a time contain only noise.
-
-        If nearly all spots are lost, the pendulum counts as at rest; if there are hardly any samples (a low
-        frame rate), it does not.
-        """
+        """Whether the samples before a time contain only noise, or nearly all spots are lost; it is not known
+        with hardly any samples (a low frame rate), and False."""
         samples = self._samples[: int(np.searchsorted(self._samples.times_ns, until_ns))]
         good = samples.found
         if np.count_nonzero(good) < 3:
@@ -258,12 +254,8 @@ def _is_same_motion(whole: TwoModes, later: TwoModes) -> bool:
 
 
 def _without_harmonic(modes: TwoModes) -> TwoModes:
-    """Remove a fast mode that is only a harmonic of the slow mode's waveform.
-
-    Friction makes the waveform deviate from a sine by about 5e-4 of the amplitude; without a fast mode these
-    harmonics are the strongest spectral lines. A weaker fast mode at such a frequency cannot be distinguished
-    from them: `fast_limit` is raised accordingly.
-    """
+    """Remove a fast mode that is only a harmonic of the slow mode's waveform, about 5e-4 of its amplitude. A
+    weaker fast mode there cannot be distinguished from it: `fast_limit` is raised accordingly."""
     slow, fast = modes.slow, modes.fast
     if fast is None:
         return modes

@@ -316,10 +316,8 @@ def _gaussian(size_x: int, size_y: int, centre: Floats, shape: Shape) -> Floats:
 
 
 def _to_spline(size: int, sigma_px: float) -> Floats:
-    """Matrix (size, size) from values at grid points to spline coefficients.
-
-    With knots further apart than a pixel it is the spline of least squares, expressed on the grid.
-    """
+    """Matrix (size, size) from values at grid points to spline coefficients. With knots further apart than a
+    pixel it is the spline of least squares, expressed on the grid."""
     grid = np.arange(size, dtype=np.float64)
     values_of_spline = np.zeros((size, size))
     np.fill_diagonal(values_of_spline, 4.0 / 6.0)

@@ -156,10 +156,7 @@ def separate_modes(
 
 def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> ModeFit:
     """The fit with each coordinate's uncertainties enlarged by its scatter; the same fit if there is none.
-
-    The scatter across the slow mode is the residual of a fast mode that stops within the samples: the fitted
-    one, or one of this period (NaN: none). It shifts the slow mode by more than noise of the same size.
-    """
+    Across the slow mode it is that of a fast mode, of this period if none is fitted, that stops."""
     dof = max(len(samples.t) - len(fit.active) / 2.0, 1.0)
     chi2_per_dof_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
     chi2_per_dof_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof
