@@ -234,18 +234,17 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     signals = plain_signals(seismometer, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
-    comparison = _compare_steps(rest, signals)
+    steps, coherence, period_s = _compare_steps(rest, signals)
     for _ in range(_PERIOD_ITERATIONS):
         # a wandering oscillation shows its period only roughly; with the seismometer it is better known
-        periods = int(np.ptp(rest.time_s) / comparison.period_s)
-        rest = rest._replace(period_s=comparison.period_s, periods=periods)
-        comparison = _compare_steps(rest, signals)
-    coherence, components = comparison.coherence, signals.value.shape[1]
+        rest = rest._replace(period_s=period_s, periods=int(np.ptp(rest.time_s) / period_s))
+        steps, coherence, period_s = _compare_steps(rest, signals)
+    components = signals.value.shape[1]
     # the decay takes one degree of freedom, each component's gain another
-    dof = comparison.steps - 1 - components - _DELAY_DOF
+    dof = steps - 1 - components - _DELAY_DOF
     if dof < _MIN_FREE_STEPS - 1:
         raise DataError(
-            f"seismometer and pendulum at rest have {comparison.steps} periods in common; at least "
+            f"seismometer and pendulum at rest have {steps} periods in common; at least "
             f"{_MIN_FREE_STEPS + 1 + components} are needed"
         )
     fitted_dof = components + _DELAY_DOF
@@ -253,7 +252,7 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     fisher, u = np.arctanh(np.sqrt(1 - unexplained)), np.sqrt(_STEPS_PER_INDEPENDENT / (2 * (dof - 1)))
     low, high = np.cosh(max(0.0, fisher - _NORMAL_95 * u)), np.cosh(fisher + _NORMAL_95 * u)
     return SeismometerAtRest(
-        steps=comparison.steps,
+        steps=steps,
         coherence=coherence,
         chance_coherence=float(betaincinv(fitted_dof, dof / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
         factor=float(min(np.cosh(fisher), _MAX_FACTOR)),
@@ -262,15 +261,8 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     )
 
 
-class _StepComparison(NamedTuple):
-    """Number of steps, their squared coherence with those predicted, and the fitted period."""
-
-    steps: int
-    coherence: float
-    period_s: float
-
-
-def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
+def _compare_steps(rest: RestOscillation, signals: Signals) -> tuple[int, float, float]:
+    """Number of steps, their squared coherence with those predicted, and the fitted period in s."""
     quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _are_covered(rest, signals)
     step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
@@ -285,7 +277,7 @@ def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
         fits.append((float(np.vdot(residual, residual).real), float(gains[0].imag)))
     smallest, phase_error = min(fits)
     period_s = rest.period_s / (1 - phase_error / (2 * np.pi))
-    return _StepComparison(len(step), 1 - smallest / power, period_s)
+    return len(step), 1 - smallest / power, period_s
 
 
 def _predicted_steps(rest: RestOscillation, signals: Signals) -> Complexes:

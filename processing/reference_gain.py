@@ -56,7 +56,8 @@ def gain_while_swinging(
     ]
     if len(starts) < BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
-    window = _window(length)
+    phase = 2 * np.pi * np.arange(length) / length
+    window = np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
 
     def spectra(position_px: Floats) -> Complexes:
         even = np.interp(even_s, time_s[has_both], position_px[has_both])
@@ -76,11 +77,6 @@ def gain_while_swinging(
     if not (np.sum(denominator) > 0 and np.isfinite(u)):
         raise DataError("the reference shows no motion over its own noise, so that its gain is unknown")
     return Estimate(gain, u)
-
-
-def _window(length: int) -> Floats:
-    phase = 2 * np.pi * np.arange(length) / length
-    return np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
 
 
 def _spectra(stretches: Floats, window: Floats) -> Complexes:

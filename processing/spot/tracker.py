@@ -307,7 +307,9 @@ class SpotTracker:
             ):  # fmt: skip
                 continue
             start = NEAR if method < AREAS else ROUGH
-            if is_window and start == ROUGH and _near_edge(image.shape, self._work[0]):
+            x, y, sigma_x, sigma_y = self._work[0, [X, Y, SIGMA_X, SIGMA_Y]]
+            edge_x, edge_y = min(x, image.shape[1] - 1 - x), min(y, image.shape[0] - 1 - y)
+            if is_window and start == ROUGH and (edge_x < 2.0 * sigma_x or edge_y < 2.0 * sigma_y):
                 break
             result = follow(image, *placement, memory, self._work, self._tables, self._noise, start)
             if result[FLAGS] != SEARCH:
@@ -332,9 +334,3 @@ class SpotTracker:
         reach_y = math.ceil(_RECORD_REACH_SIGMA * half_y) + _RECORD_MARGIN_PX
         x, y = round(spot.x_px), round(spot.y_px)
         return max(0, x - reach_x), max(0, y - reach_y), min(nx, x + reach_x + 1), min(ny, y + reach_y + 1)
-
-
-def _near_edge(shape: tuple[int, ...], p: Floats) -> bool:
-    """Whether the image's edge is nearer to the spot than two standard deviations."""
-    edge_x, edge_y = min(p[X], shape[1] - 1 - p[X]), min(p[Y], shape[0] - 1 - p[Y])
-    return bool(edge_x < 2.0 * p[SIGMA_X] or edge_y < 2.0 * p[SIGMA_Y])

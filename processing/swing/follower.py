@@ -241,7 +241,12 @@ class OscillationFollower:
         else:
             self._process_noise = max(self._process_noise * 0.9, 1.0)
         if has_jumped:
-            self._accept_jump(result)
+            # a kick: replace amplitude and time by the measured ones and drop the motion before it
+            self._history = None
+            self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
+            for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
+                self._covariance[k, :] = self._covariance[:, k] = 0.0
+                self._covariance[k, k] = u * u
             return HalfCycleFlag.START
         self._refit()
         # The model is nearly linear in the damping, which changes considerably over a long decay: expand
@@ -287,14 +292,6 @@ class OscillationFollower:
         for term in ANHARMONIC:
             self._covariance[term, term] = sigma[term] ** 2
         self._active = np.array(sorted(terms), dtype=np.int64)
-
-    def _accept_jump(self, result: HalfCycleFit) -> None:
-        """After a kick, replace amplitude and time by the measured ones and drop the motion before it."""
-        self._history = None
-        self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
-        for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
-            self._covariance[k, :] = self._covariance[:, k] = 0.0
-            self._covariance[k, k] = u * u
 
     def _refit(self) -> None:
         """Fit all half-cycles so far jointly, each time their number has about doubled: terms would keep an
