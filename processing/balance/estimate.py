@@ -12,7 +12,6 @@ import numpy as np
 
 from processing.balance.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined, no_deflections
-from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
 from processing.units import nanoseconds, seconds
 
@@ -78,11 +77,8 @@ class BalanceEstimator:
     def update(self, deflections: Deflections) -> list[Balance]:
         """Add deflections (NaN where the spot was lost) and return the estimates that they complete.
 
-        The estimates have the unit of the deflections. Raises DataError if lengths differ.
+        The estimates have the unit of the deflections.
         """
-        arrays = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
-        if any(array.shape != deflections.times_ns.shape for array in arrays):
-            raise DataError("times, deflections and uncertainties must be of one length")
         if len(deflections):
             self._blocks.append(deflections)
         balances: list[Balance] = []
