@@ -111,7 +111,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     Raises
     ------
     DataError
-        Fewer frames than `_MIN_FRAMES`, arrays of different lengths, or a clock that does not advance.
+        Fewer frames than `_MIN_FRAMES`, or a clock that does not advance.
 
     Notes
     -----
@@ -121,11 +121,6 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     wanders or is slewed) leave the rate more uncertain than white noise of the same size: see
     `processing.slope_uncertainty`.
     """
-    if not (len(device_ns) == len(host_ns) == len(sequence)):
-        raise DataError(
-            f"clock: {len(device_ns)} camera timestamps, {len(host_ns)} host timestamps and {len(sequence)} "
-            "frame numbers must be of one length"
-        )
     if len(device_ns) < _MIN_FRAMES:
         raise DataError(f"clock: {len(device_ns)} frames, {_MIN_FRAMES} are needed; record for longer")
     for name, stamps in (("camera", device_ns), ("host", host_ns)):

@@ -150,8 +150,8 @@ class BalanceEstimator:
             self._history.clear()
 
     def _is_at_rest(self, until_ns: int) -> bool:
-        """Whether the samples before a time contain only noise, or nearly all spots are lost; it is not known
-        with hardly any samples (a low frame rate), and False."""
+        """Whether the samples before a time contain only noise. True if nearly all spots are lost, False if
+        there are hardly any samples (a low frame rate)."""
         samples = self._samples[: int(np.searchsorted(self._samples.times_ns, until_ns))]
         good = samples.found
         if np.count_nonzero(good) < 3:
