@@ -107,7 +107,7 @@ def deflections(
     """
     fast_px, slow_px, u_fast_px, u_slow_px = displacements(axes, x_px, y_px, u_x_px, u_y_px, reference_px)
     # the fast axis is across the tilt of the sensor
-    fast_lever = lever.without_skew()
+    fast_lever = lever.model_copy(update={"skew": 0.0}) if lever.skew else lever
     return (
         fast_lever.tilt_rad(fast_px),
         lever.tilt_rad(slow_px),
@@ -332,11 +332,8 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
 def _mean_direction(
     middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats, min_enlargement: float = 1.0
 ) -> _MeanDirection:
-    """Weighted mean of the windows' angles, with the sign of `base_rad`.
-
-    The noise within the windows enlarges the mean's uncertainty by `min_enlargement`, or their scatter by
-    more.
-    """
+    """Weighted mean of the windows' angles, with the sign of `base_rad`. Its uncertainty is enlarged by
+    `min_enlargement`, for the noise within the windows, or by their scatter if that is more."""
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
     differences_rad = np.array([modulo_pi(angle - base_rad) for angle in angles_rad])
     weight = 1.0 / np.maximum(u_rad, 1e-12) ** 2

@@ -78,7 +78,10 @@ def window_directions(
     waves = (np.cos(slow_phase), np.sin(slow_phase), np.cos(fast_phase), np.sin(fast_phase), np.ones_like(t))
     design = np.column_stack([wave * x**k for wave in waves for k in range(_ENVELOPE_TERMS)])
     coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
-    basis = _principal_basis(coefficients[[0, _ENVELOPE_TERMS]])
+    # unit vectors across and along the direction of the largest motion
+    first = coefficients[[0, _ENVELOPE_TERMS]]
+    largest = np.linalg.eigh(first.T @ first)[1][:, 1]
+    basis = np.column_stack([[-largest[1], largest[0]], largest])
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
     across, along = (spots @ basis).T
     third, prior_overtones = _overtones(
@@ -119,12 +122,6 @@ def window_directions(
 def _prior(precision: Floats) -> Floats:
     """The precision matrix of the overtones' prior, in the shape of the normal equations."""
     return np.diag([0.0, *np.ones(len(precision) - 1)])
-
-
-def _principal_basis(coefficients: Floats) -> Floats:
-    """Matrix (2, 2) whose columns are unit vectors across and along the direction of the largest motion."""
-    along = np.linalg.eigh(coefficients.T @ coefficients)[1][:, 1]
-    return np.column_stack([[-along[1], along[0]], along])
 
 
 def _overtones(design: Floats, along: Floats, slow: Floats, *, distinct: bool) -> tuple[Floats, Floats]:
@@ -197,11 +194,8 @@ def _vector(coefficients: Floats, direction: Floats) -> Floats:
 
 
 def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float, float]:
-    """Vector, standard uncertainty of the angle, and chi-square of the slow mode (see `WindowDirections`).
-
-    The coefficient vectors (x, y) of all terms of the mode lie along a line, the major axis of their weighted
-    scatter: total least squares with the known covariance of the terms.
-    """
+    """Vector, standard uncertainty of the angle, and chi-square of the slow mode. The coefficients (x, y) of
+    its terms lie along a line: total least squares with their known covariance."""
     terms = 2 * _ENVELOPE_TERMS
     rows, weight = coefficients[:terms], np.linalg.inv(inverse[:terms, :terms])
     scatter = rows.T @ weight @ rows

@@ -131,14 +131,6 @@ class LadderSolution:
     residual_px: Floats
 
 
-def _abscissa_and_slope(setting: Floats, kind: str) -> tuple[Floats, Floats]:
-    """Abscissae to which the spot's position is proportional, tangents of twice the tilts or the shifts, and
-    their derivatives with respect to the settings."""
-    if kind == "tilt":
-        return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
-    return setting, np.ones_like(setting)
-
-
 def _fit_line(design: Floats, positions_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
     """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
     weighted = design / u_px[:, None]
@@ -154,7 +146,10 @@ def solve_ladder(steps: LadderSteps, kind: str, approach: Floats | None, *, fit_
     An error of a setting moves the spot along the motion alone: its uncertainty is added to that of the
     position there (the effective variance of W. A. Fuller, Measurement Error Models, 1987).
     """
-    t, slope = _abscissa_and_slope(steps.reference, kind)
+    # the spot's position is proportional to t, whose derivative with respect to the setting is `slope`
+    t, slope = steps.reference, np.ones_like(steps.reference)
+    if kind == "tilt":
+        t, slope = np.tan(2.0 * steps.reference), 2.0 / np.cos(2.0 * steps.reference) ** 2
     positions_px = np.column_stack([steps.x_px, steps.y_px])
     direction = np.polyfit(t, positions_px, 1)[0]
     # rows: unit vectors along and across the motion

@@ -82,10 +82,6 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         tangent, root = self._tangent(displacement_px)
         return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
 
-    def without_skew(self) -> Self:
-        """The same lever without skew."""
-        return self.model_copy(update={"skew": 0.0}) if self.skew else self
-
     def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
         """t = tan(2 phi), and the displacement's derivative with respect to t over that at the reference."""
         linear = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)

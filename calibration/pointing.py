@@ -34,7 +34,7 @@ class Stability:
     deviation (IEEE 1139) at their interval.
     """
     drift_per_s: float
-    """Slope of a straight line."""
+    """Slope of a straight line through the means of equal parts."""
     u_drift_per_s: float
     """Allows for a beam that wanders, as the residuals of the line show (`processing.slope_uncertainty`)."""
     iso11670: float
@@ -67,33 +67,24 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
         raise DataError(
             f"stability: {len(values)} spots of {_MIN_SAMPLES} that are needed; record for longer"
         )
-    drift, u_drift = _drift(times_s, values)
+    since_s = times_s - times_s.mean()
+    design, means = part_means(np.column_stack([since_s, np.ones(len(since_s))])), part_means(values)
+    line, *_ = np.linalg.lstsq(design, means, rcond=None)
     detrended = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
     noise = float(np.sqrt(0.5 * np.mean(np.diff(values) ** 2)))
     return Stability(
         noise=noise,
-        drift_per_s=drift,
-        u_drift_per_s=u_drift,
+        drift_per_s=float(line[0]),
+        u_drift_per_s=u_wandering_slope(design, means - design @ line),
         iso11670=float(2.0 * values.std(ddof=1)),
         claimed_ratio=float(np.sqrt(np.mean(u_values**2)) / noise),
         lines=_lines(*_spectrum(times_s, detrended)),
     )
 
 
-def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
-    """Slope of a straight line through the means of equal parts, and its standard uncertainty."""
-    since_s = times_s - times_s.mean()
-    design = part_means(np.column_stack([since_s, np.ones(len(since_s))]))
-    means = part_means(values)
-    solution, *_ = np.linalg.lstsq(design, means, rcond=None)
-    return float(solution[0]), u_wandering_slope(design, means - design @ solution)
-
-
 def _spectrum(times_s: Floats, detrended: Floats) -> tuple[Floats, Floats]:
-    """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency.
-
-    Lost samples count as 0; if they were left out, lines would be at wrong frequencies.
-    """
+    """Frequencies above zero and one-sided power spectral density, with a Hann window. Lost samples count as
+    0; if they were left out, lines would be at wrong frequencies."""
     interval_s = float(np.median(np.diff(times_s)))
     steps = np.maximum(np.rint(np.diff(times_s) / interval_s), 1.0).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])

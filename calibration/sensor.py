@@ -218,11 +218,8 @@ def _hot_pixels(dark_map: Floats) -> Ints:
 
 
 def _unrounded_mean(values: Floats) -> float:
-    """Mean of normally distributed values of which only the nearest integers are known, none below 0.
-
-    It is the estimate of maximum likelihood. The mean of the integers themselves is wrong by up to 0.1 DN for
-    a noise of 0.24 DN, and by 0.05 DN for 0.3 DN.
-    """
+    """Mean, by maximum likelihood, of normal values that were rounded to integers, none below 0. The mean of
+    the integers is wrong by up to 0.1 DN for a noise of 0.24 DN."""
     from scipy.optimize import minimize
     from scipy.special import ndtr
 
@@ -266,10 +263,8 @@ def _u_rounding(variance: float) -> float:
 
 
 def _largest_deviation(variance: float) -> float:
-    """Largest deviation of the variance of rounded normal values from variance + 1/12 DN^2, over all means.
-
-    From the first term of the series in the characteristic function (B. Widrow, Quantization Noise, 2008).
-    """
+    """Largest deviation of the variance of rounded normal values from variance + 1/12 DN^2, over all means:
+    first term of the series in B. Widrow, Quantization Noise, 2008."""
     return float((4.0 * variance + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * variance))
 
 
@@ -331,11 +326,8 @@ def _line(
 def _prnu(
     pair: tuple[Image, Image], point: TransferPoint, dark_map: Floats, cold: Flags, u2_dark_map: float
 ) -> tuple[float, float]:
-    """PRNU and its standard uncertainty, from one pair.
-
-    It is the spatial standard deviation over the mean signal, after subtraction of the temporal noise and
-    of a quadratic surface, which removes the slow variation of the illumination.
-    """
+    """PRNU and its standard uncertainty, from one pair: spatial standard deviation over mean signal, without
+    temporal noise and a quadratic surface, the slow variation of the illumination."""
     mean = 0.5 * (np.asarray(pair[0], dtype=np.float64) + np.asarray(pair[1], dtype=np.float64)) - dark_map
     ny, nx = mean.shape
     y, x = (coordinate.reshape(-1)[cold] for coordinate in np.mgrid[0 : 1 : ny * 1j, 0 : 1 : nx * 1j])

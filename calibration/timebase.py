@@ -111,7 +111,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     Raises
     ------
     DataError
-        Fewer frames than `_MIN_FRAMES`, arrays of different lengths, or a clock that does not advance.
+        Fewer frames than `_MIN_FRAMES`, or a clock that does not advance.
 
     Notes
     -----
@@ -121,11 +121,6 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     wanders or is slewed) leave the rate more uncertain than white noise of the same size: see
     `processing.slope_uncertainty`.
     """
-    if not (len(device_ns) == len(host_ns) == len(sequence)):
-        raise DataError(
-            f"clock: {len(device_ns)} camera timestamps, {len(host_ns)} host timestamps and {len(sequence)} "
-            "frame numbers must be of one length"
-        )
     if len(device_ns) < _MIN_FRAMES:
         raise DataError(f"clock: {len(device_ns)} frames, {_MIN_FRAMES} are needed; record for longer")
     for name, stamps in (("camera", device_ns), ("host", host_ns)):
@@ -153,7 +148,8 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
         breaks = np.array(breaks)[~is_small].tolist()
         values, covariance, sigma = _segments(since_s, host_ahead_s, breaks)
     offsets = values[1:]
-    period_s, frame_jitter_s = _frame_period(since_s, sequence)
+    counted = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
+    (period_s, _), _, frame_jitter_s = _huber(counted, since_s)
     return ClockRelation(
         device_reference_ns=int(device_ns[0]),
         host_reference_ns=int(host_ns[0]) + nanoseconds(float(offsets[0])),
@@ -161,7 +157,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
         u_rate=float(np.sqrt(covariance[0, 0])),
         u_offset_s=float(np.sqrt(covariance[1, 1])),
         jitter_s=sigma,
-        frame_period_s=period_s,
+        frame_period_s=float(period_s),
         frame_jitter_s=frame_jitter_s,
         jumps=tuple(
             ClockJump(int(sequence[frame]), float(step))
@@ -179,10 +175,7 @@ def _segments(since_s: Floats, host_ahead_s: Floats, breaks: list[int]) -> tuple
 
 
 def _jumps(since_s: Floats, host_ahead_s: Floats) -> list[int]:
-    """Indices of frames at which host minus camera time steps permanently.
-
-    Medians over windows before and after are compared, so that a single late frame is not taken for a step.
-    """
+    """Frames at which host minus camera time steps permanently, by medians over windows before and after."""
     window = _JUMP_WINDOW
     if len(host_ahead_s) < 4 * window:
         return []
@@ -227,10 +220,3 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
         u_slope = u_wandering_slope(means, part_means(sigma / fraction_inside * psi))
         covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
-
-
-def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
-    """Mean interval of frames and the jitter about it, in s."""
-    design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
-    values, _, sigma = _huber(design, since_s)
-    return float(values[0]), sigma

@@ -69,11 +69,8 @@ def _arrival_line(x: Floats, since_s: Floats) -> Floats:
 
 
 def _clock_steps(delay_s: Floats, own_s: Floats) -> dict[int, float]:
-    """Steps (s) of the delay (n,), by the number of the first sample after each.
-
-    A step lasts. A delay that falls back, as of lines that waited for a thread, is no step, however long it
-    takes: a backlog arrives faster than it was taken.
-    """
+    """Steps (s) of the delay (n,), by the number of the first sample after each. A delay that falls back is
+    no step, but a backlog, which arrives faster than it was taken."""
     delay_s, steps_s = delay_s.copy(), dict[int, float]()
     if len(delay_s) < 2 * _MIN_LINE_SAMPLES:
         return steps_s

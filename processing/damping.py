@@ -9,7 +9,7 @@ x' = -g x/2 - c y, y' = q x + g y/2, whose matrix squared is (g^2/4 - q c) times
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import exp, inf, log, sqrt
 from typing import Final, NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.least_squares import differenced, solve
+from processing.least_squares import Solution, differenced, solve
 
 PARTS: Final = ("constant", "linear", "quadratic")
 _MIN_AMPLITUDES: Final = 12
@@ -78,14 +78,6 @@ class DampingTerms:
     def amplitudes(self, count: int = 25) -> Floats:
         """Amplitudes (count,) from the first to the last, evenly in their logarithm."""
         return np.geomspace(self.first, max(self.last, 0.02 * self.first), count)
-
-
-class _DampingSolution(NamedTuple):
-    """First amplitude and the three parts with their covariance, and chi-square."""
-
-    values: Floats
-    covariance: Floats
-    chi2: float
 
 
 def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, quadratic: float) -> Floats:
@@ -181,10 +173,7 @@ def fit_damping(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats) -> Da
 
 def _rate_excess(t_s: Floats, residual: Floats, u: Floats, amplitude: Floats, covariance: Floats) -> float:
     """Mean square deviation of the rates of stretches from the fitted one, in its variances; at least 1.
-
-    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts. Slopes of the
-    residuals that agree with their noise, as each stretch shows it, give 1.
-    """
+    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts."""
     count = min(_STRETCHES, len(t_s) // _MIN_STRETCH_AMPLITUDES)
     if count < _MIN_STRETCHES:
         return 1.0
@@ -218,8 +207,8 @@ class _Fit:
         half_time = float(self._t[below_half[0]]) if len(below_half) and below_half[0] > 0 else 1.0
         return np.array([first, 0.0, max(log(2.0) / half_time, 0.05), 0.0])
 
-    def parts(self, subset: Sequence[str], start: Floats) -> _DampingSolution:
-        """Fit the parts in `subset`."""
+    def parts(self, subset: Sequence[str], start: Floats) -> Solution:
+        """Fit the parts in `subset`: the values (4,) are the first amplitude and all parts."""
         free = np.array([True, *(name in subset for name in PARTS)])
         begin = start.copy()
         if "linear" not in subset:
@@ -236,4 +225,4 @@ class _Fit:
         values, covariance = np.zeros(4), np.zeros((4, 4))
         values[free] = solution.values
         covariance[np.ix_(free, free)] = solution.covariance
-        return _DampingSolution(values, covariance, solution.chi2)
+        return replace(solution, values=values, covariance=covariance)

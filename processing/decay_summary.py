@@ -225,10 +225,8 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
 
 
 class _Decay:
-    """Amplitudes (n,) at times (n,) of which the last is 0, and the model of their loss.
-
-    The parameters of the model are the time of the grid's first amplitude, ln k, p and ln d.
-    """
+    """Amplitudes (n,) at times (n,) of which the last is 0, and the model of their loss. Its parameters are
+    the time of the grid's first amplitude, ln k, p and ln d."""
 
     def __init__(self, times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> None:
         self._t, self._a, self._u, self._final = times_s, amplitudes, u_amplitudes, final

@@ -47,26 +47,15 @@ class FitMethod(StrEnum):
     """Heading of its column in a table."""
     description: str
     """The method in a few words."""
-    equations: str
-    """The paper's equations that it solves."""
 
-    def __new__(cls, key: str, heading: str, description: str, equations: str) -> "FitMethod":
+    def __new__(cls, key: str, heading: str, description: str) -> "FitMethod":
         member = str.__new__(cls, key)
         member._value_ = key
         member.heading = heading
         member.description = description
-        member.equations = equations
         return member
 
     ASYMPTOTIC = (
-        "asymptotic",
-        "Eqs. 5 and 6",
-        "asymptotic decay, then asymptotic period, one after the other",
-        "Eqs. 5 and 6",
-    )
-    EXACT = (
-        "exact",
-        "exact map",
-        "half-swing map of the equation of motion, amplitudes and times jointly",
-        "Eqs. 1, 3 and 4",
-    )
+        "asymptotic", "Eqs. 5 and 6", "asymptotic decay, then asymptotic period, one after the other"
+    )  # fmt: skip
+    EXACT = "exact", "exact map", "half-swing map of the equation of motion, amplitudes and times jointly"

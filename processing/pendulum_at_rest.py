@@ -36,7 +36,9 @@ def rest_oscillation(time_s: Floats, deflection: Floats) -> RestOscillation:
     Raises DataError for fewer than eight periods.
     """
     has_spot = np.isfinite(deflection)
-    time_s, deflection = _bin_means(time_s[has_spot], deflection[has_spot])
+    time_s, deflection = time_s[has_spot], deflection[has_spot]
+    _, start, count = np.unique(np.floor(time_s / _BIN_S), return_index=True, return_counts=True)
+    time_s, deflection = (np.add.reduceat(values, start) / count for values in (time_s, deflection))
     span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
     if span_s < _MIN_PERIODS * _PERIODS_S[0]:
         raise DataError(f"{span_s:.3g} s of the pendulum at rest are too short to see the ground")
@@ -50,19 +52,9 @@ def rest_oscillation(time_s: Floats, deflection: Floats) -> RestOscillation:
     return RestOscillation(time_s, deflection, period_s, periods)
 
 
-def _bin_means(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
-    """Means over `_BIN_S`."""
-    if not len(time_s):
-        return time_s, deflection
-    _, start, count = np.unique(np.floor(time_s / _BIN_S), return_index=True, return_counts=True)
-    return np.add.reduceat(time_s, start) / count, np.add.reduceat(deflection, start) / count
-
-
 def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
-    """Period at which the changes of the deflections have most power, to a twentieth of the resolution.
-
-    Changes are used because the power of pointing and air at low frequencies would look like a long period.
-    """
+    """Period at which the changes of the deflections have most power, to a twentieth of the resolution. In
+    the deflections themselves pointing and air would look like a long period."""
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
     change, middle_s = np.diff(deflection), 0.5 * (time_s[1:] + time_s[:-1])
     change -= np.mean(change)
@@ -94,10 +86,8 @@ def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[Complexe
 
 
 def _driven_steps(step: Complexes, middle: Complexes) -> Complexes:
-    """Steps of the quadratures from period to period without the part in proportion to their middles.
-
-    The decay and an error of the period give that part; the motion by the ground is independent of it.
-    """
+    """Steps of the quadratures without the part in proportion to their middles, from decay and wrong
+    period."""
     return np.asarray(step - middle * (np.vdot(middle, step) / np.vdot(middle, middle)))
 
 
@@ -203,28 +193,19 @@ _MAX_FACTOR = 1 / LEAST_UNEXPLAINED
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerAtRest:
-    """Comparison of an auxiliary seismometer with the oscillation of a pendulum at rest.
-
-    Attributes
-    ----------
-    steps
-        Number of changes of the oscillation from period to period that were compared.
-    coherence
-        Squared coherence of the changes with those predicted from all components of the seismometer.
-    chance_coherence
-        Squared coherence that one in twenty unrelated records exceeds.
-    factor
-        Factor by which the amplitude of the changes would fall; without noise and air it would fall by more.
-    lower_95, upper_95
-        Bounds of 95 % of the factor, at most that between two seismometers at one place.
-    """
+    """Comparison of an auxiliary seismometer with the oscillation of a pendulum at rest."""
 
     steps: int
+    """Number of changes of the oscillation from period to period that were compared."""
     coherence: float
+    """Squared coherence of the changes with those predicted from all components of the seismometer."""
     chance_coherence: float
+    """Squared coherence that one in twenty unrelated records exceeds."""
     factor: float
+    """Factor by which the amplitude of the changes would fall; by more without noise and air."""
     lower_95: float
     upper_95: float
+    """Bounds of 95 % of the factor, at most that between two seismometers at one place."""
 
     @property
     def related(self) -> bool:
@@ -253,18 +234,17 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     signals = plain_signals(seismometer, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
-    comparison = _compare_steps(rest, signals)
+    steps, coherence, period_s = _compare_steps(rest, signals)
     for _ in range(_PERIOD_ITERATIONS):
         # a wandering oscillation shows its period only roughly; with the seismometer it is better known
-        periods = int(np.ptp(rest.time_s) / comparison.period_s)
-        rest = rest._replace(period_s=comparison.period_s, periods=periods)
-        comparison = _compare_steps(rest, signals)
-    coherence, components = comparison.coherence, signals.value.shape[1]
+        rest = rest._replace(period_s=period_s, periods=int(np.ptp(rest.time_s) / period_s))
+        steps, coherence, period_s = _compare_steps(rest, signals)
+    components = signals.value.shape[1]
     # the decay takes one degree of freedom, each component's gain another
-    dof = comparison.steps - 1 - components - _DELAY_DOF
+    dof = steps - 1 - components - _DELAY_DOF
     if dof < _MIN_FREE_STEPS - 1:
         raise DataError(
-            f"seismometer and pendulum at rest have {comparison.steps} periods in common; at least "
+            f"seismometer and pendulum at rest have {steps} periods in common; at least "
             f"{_MIN_FREE_STEPS + 1 + components} are needed"
         )
     fitted_dof = components + _DELAY_DOF
@@ -272,7 +252,7 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     fisher, u = np.arctanh(np.sqrt(1 - unexplained)), np.sqrt(_STEPS_PER_INDEPENDENT / (2 * (dof - 1)))
     low, high = np.cosh(max(0.0, fisher - _NORMAL_95 * u)), np.cosh(fisher + _NORMAL_95 * u)
     return SeismometerAtRest(
-        steps=comparison.steps,
+        steps=steps,
         coherence=coherence,
         chance_coherence=float(betaincinv(fitted_dof, dof / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
         factor=float(min(np.cosh(fisher), _MAX_FACTOR)),
@@ -281,15 +261,8 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     )
 
 
-class _StepComparison(NamedTuple):
-    """Number of steps, their squared coherence with those predicted, and the fitted period."""
-
-    steps: int
-    coherence: float
-    period_s: float
-
-
-def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
+def _compare_steps(rest: RestOscillation, signals: Signals) -> tuple[int, float, float]:
+    """Number of steps, their squared coherence with those predicted, and the fitted period in s."""
     quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _are_covered(rest, signals)
     step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
@@ -304,7 +277,7 @@ def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
         fits.append((float(np.vdot(residual, residual).real), float(gains[0].imag)))
     smallest, phase_error = min(fits)
     period_s = rest.period_s / (1 - phase_error / (2 * np.pi))
-    return _StepComparison(len(step), 1 - smallest / power, period_s)
+    return len(step), 1 - smallest / power, period_s
 
 
 def _predicted_steps(rest: RestOscillation, signals: Signals) -> Complexes:

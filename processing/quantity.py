@@ -20,22 +20,16 @@ PER: Final = " per "
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Declaration of a number, or of a value with its uncertainty, or of an array of them.
-
-    Attributes
-    ----------
-    symbol, meaning
-        Symbol in tables and figures, and description in words.
-    shown
-        Unit in which a person reads it; if empty the SI unit, and none for a plain number.
-    unit
-        SI unit, "1" for a plain number; if empty the one in which the field's name ends.
-    """
+    """Declaration of a number, or of a value with its uncertainty, or of an array of them."""
 
     symbol: str
+    """Symbol in tables and figures."""
     meaning: str
+    """Description in words."""
     shown: str = ""
+    """Unit in which a person reads it; if empty the SI unit, and none for a plain number."""
     unit: str = ""
+    """SI unit, "1" for a plain number; if empty the one in which the field's name ends."""
 
     @property
     def factor(self) -> float:

@@ -56,7 +56,8 @@ def gain_while_swinging(
     ]
     if len(starts) < BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
-    window = _window(length)
+    phase = 2 * np.pi * np.arange(length) / length
+    window = np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
 
     def spectra(position_px: Floats) -> Complexes:
         even = np.interp(even_s, time_s[has_both], position_px[has_both])
@@ -78,11 +79,6 @@ def gain_while_swinging(
     return Estimate(gain, u)
 
 
-def _window(length: int) -> Floats:
-    phase = 2 * np.pi * np.arange(length) / length
-    return np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
-
-
 def _spectra(stretches: Floats, window: Floats) -> Complexes:
     """Spectra (stretches, frequencies) without mean and drift of each, and without the lowest frequency."""
     line = np.linspace(-1.0, 1.0, stretches.shape[1])
@@ -92,10 +88,8 @@ def _spectra(stretches: Floats, window: Floats) -> Complexes:
 
 
 def _means_of_others(values: Floats) -> Floats:
-    """Means (stretches, frequencies) over the other stretches that do not overlap.
-
-    A weight from the stretch's own noise would favour frequencies at which that is small by chance.
-    """
+    """Means (stretches, frequencies) over the other stretches that do not overlap. A weight from the
+    stretch's own noise would favour frequencies at which that is small by chance."""
     index = np.arange(len(values))
     is_apart = np.abs(index[:, None] - index) >= _STARTS_PER_LENGTH
     return np.asarray(is_apart @ values / is_apart.sum(axis=1, keepdims=True))
@@ -111,25 +105,17 @@ _KNOT_PERIODS = 3.0
 
 
 class ReferenceAtRest(NamedTuple):
-    """Effect of the reference along one axis of the sensor, with the pendulum's oscillation removed.
-
-    Attributes
-    ----------
-    before_px
-        Standard deviation of the pendulum's spot.
-    factor
-        Factor by which that falls if the reference is subtracted, with the stated gain or else with `gain`;
-        its uncertainty follows from parts of the record.
-    gain
-        Gain that this record shows.
-    share
-        Part of the reference's variance that is motion and not noise.
-    """
+    """Effect of the reference along one axis of the sensor, with the pendulum's oscillation removed."""
 
     before_px: float
+    """Standard deviation of the pendulum's spot."""
     factor: Estimate
+    """Factor by which that falls if the reference is subtracted, with the stated gain or else with `gain`.
+    Its uncertainty follows from parts of the record."""
     gain: Estimate
+    """Gain that this record shows."""
     share: float
+    """Part of the reference's variance that is motion and not noise."""
 
 
 def reference_at_rest(

@@ -38,23 +38,16 @@ class ReferenceVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommonMotion:
-    """Motion common to both spots, from the reference spot, along one axis of the sensor, in px.
-
-    Attributes
-    ----------
-    value, u
-        Motion (n,) about its mean, and its standard uncertainty, from the motion that the filter removes and
-        the noise that it passes; 0 and infinite in long gaps of the reference.
-    known
-        Whether the motion is known in each frame (n,).
-    share
-        Part of the reference's variance that is motion.
-    """
+    """Motion common to both spots, from the reference spot, along one axis of the sensor, in px."""
 
     value: Floats
     u: Floats
+    """Motion (n,) about its mean, and its standard uncertainty, from the motion that the filter removes and
+    the noise that it passes; 0 and infinite in long gaps of the reference."""
     known: Flags
+    """Whether the motion is known in each frame (n,)."""
     share: float
+    """Part of the reference's variance that is motion."""
 
 
 def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMotion:

@@ -77,10 +77,8 @@ def _returns_to_zero(cycles: list[Floats]) -> bool:
 
 
 def _one_side_is_constant(cycles: list[Floats]) -> bool:
-    """Whether the turning points of one side are constant while those of the other approach them.
-
-    This is so for the cosine of an angle, a distance to a point outside the swing, and light behind a slit.
-    """
+    """Whether the turning points of one side stay while the others approach them, as with the cosine of an
+    angle, a distance to a point outside the swing, and light behind a slit."""
     ends = np.array([(values.min(), values.max()) for values in cycles])
     third = len(ends) // 3
     first, last = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
@@ -97,10 +95,11 @@ def _one_side_is_constant(cycles: list[Floats]) -> bool:
 
 def _has_cusps(cycles: list[tuple[Floats, Floats]]) -> bool:
     """Whether a rectified sinusoid fits the cycles (times in periods, values) better than a sinusoid."""
+    shapes = (lambda periods: np.abs(np.sin(np.pi * periods)), lambda periods: np.cos(2.0 * np.pi * periods))
     largest = sorted(cycles, key=lambda cycle: -float(np.ptp(cycle[1])))[:_MAX_FITTED_CYCLES]
     residuals = np.array(
         [
-            [_mean_square(periods, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
+            [_mean_square(periods, values, shape) / np.ptp(values) ** 2 for shape in shapes]
             for periods, values in largest
             if np.ptp(values) > 0
         ]
@@ -109,14 +108,6 @@ def _has_cusps(cycles: list[tuple[Floats, Floats]]) -> bool:
         return False
     rectified, sinusoid = np.median(residuals, axis=0)
     return bool(rectified < min(_MAX_RESIDUAL_RATIO * sinusoid, _MAX_SCATTER**2))
-
-
-def _rectified(periods: Floats) -> Floats:
-    return np.abs(np.sin(np.pi * periods))
-
-
-def _sinusoid(periods: Floats) -> Floats:
-    return np.cos(2.0 * np.pi * periods)
 
 
 def _mean_square(periods: Floats, values: Floats, shape: Callable[[Floats], Floats]) -> float:

@@ -187,7 +187,11 @@ class WeightResponses:
         if not new and sufficient:
             name = max(sufficient, key=lambda name: options[name].gain)
         elif not useful or (is_tilted and untested and not new):
-            name = untested[0] if is_tilted and untested else self._least_known(is_tilted)
+            least_known = min(
+                self._weights,
+                key=lambda name: (self._weights[name].learned_turns, self._lifts(name) == is_tilted),
+            )
+            name = untested[0] if is_tilted and untested else least_known
             return self._turn(name, self._test(name, state, planned, room), state, room, "a test turn: ")
         elif new:
             name = max(new, key=lambda name: (not self._lifts(name), useful[name].u_move))
@@ -245,12 +249,6 @@ class WeightResponses:
         """Whether a weight adjusts the height."""
         nominal = np.abs(self._weights[name].nominal)
         return bool(nominal[2] > max(nominal[0], nominal[1]))
-
-    def _least_known(self, is_tilted: bool) -> str:
-        return min(
-            self._weights,
-            key=lambda name: (self._weights[name].learned_turns, self._lifts(name) == is_tilted),
-        )
 
     def _test(self, name: str, state: Floats, scaled_state: Floats, room: Room | None) -> tuple[float, float]:
         """Test turn and take-up that show the effect of a weight, as large as the sensor allows."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from processing.balance.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit, joined, no_deflections
-from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
 from processing.units import nanoseconds, seconds
 
@@ -78,11 +77,8 @@ class BalanceEstimator:
     def update(self, deflections: Deflections) -> list[Balance]:
         """Add deflections (NaN where the spot was lost) and return the estimates that they complete.
 
-        The estimates have the unit of the deflections. Raises DataError if lengths differ.
+        The estimates have the unit of the deflections.
         """
-        arrays = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
-        if any(array.shape != deflections.times_ns.shape for array in arrays):
-            raise DataError("times, deflections and uncertainties must be of one length")
         if len(deflections):
             self._blocks.append(deflections)
         balances: list[Balance] = []
@@ -137,9 +133,8 @@ class BalanceEstimator:
         )
 
     def _extend_search(self, until_ns: int) -> None:
-        """Search later if the pendulum was at rest, else in a longer window; after `_MAX_SEARCH_S`, or if the
-        oscillation has ended, begin anew.
-        """
+        """Search later if the pendulum was at rest, else in a longer window; at its limit, or after an end,
+        anew."""
         self._next_ns = None
         is_search = math.isnan(self._period_s)
         rest_end_ns = until_ns - nanoseconds(_LATER_FRACTION * self._search_s)
@@ -155,11 +150,8 @@ class BalanceEstimator:
             self._history.clear()
 
     def _is_at_rest(self, until_ns: int) -> bool:
-        """Whether the samples before a time contain only noise.
-
-        If nearly all spots are lost, the pendulum counts as at rest; if there are hardly any samples (a low
-        frame rate), it does not.
-        """
+        """Whether the samples before a time contain only noise. True if nearly all spots are lost, False if
+        there are hardly any samples (a low frame rate)."""
         samples = self._samples[: int(np.searchsorted(self._samples.times_ns, until_ns))]
         good = samples.found
         if np.count_nonzero(good) < 3:
@@ -258,12 +250,8 @@ def _is_same_motion(whole: TwoModes, later: TwoModes) -> bool:
 
 
 def _without_harmonic(modes: TwoModes) -> TwoModes:
-    """Remove a fast mode that is only a harmonic of the slow mode's waveform.
-
-    Friction makes the waveform deviate from a sine by about 5e-4 of the amplitude; without a fast mode these
-    harmonics are the strongest spectral lines. A weaker fast mode at such a frequency cannot be distinguished
-    from them: `fast_limit` is raised accordingly.
-    """
+    """Remove a fast mode that is only a harmonic of the slow mode's waveform, about 5e-4 of its amplitude. A
+    weaker fast mode there cannot be distinguished from it: `fast_limit` is raised accordingly."""
     slow, fast = modes.slow, modes.fast
     if fast is None:
         return modes

@@ -212,11 +212,8 @@ def rotate(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0
 
 
 def _with_motion_across(x: Floats, angle: Floats, u: Floats, length: Floats) -> Floats:
-    """Uncertainties enlarged by a motion across the line that does not decay, as the ground causes it.
-
-    Its size and the outliers among the directions follow from the scatter about the most flexible curve.
-    `x` is the time, from 0 at the first direction to 1 at the last.
-    """
+    """Uncertainties enlarged by a motion across the line that does not decay, as the ground causes it, by the
+    scatter about the most flexible curve; `x` is the time, 0 at the first direction, 1 at the last."""
     knots, degree = _candidates(len(angle))[-1]
     design = _design(x, knots, degree)
     dof = len(angle) - design.shape[1]
@@ -239,9 +236,7 @@ def _with_motion_across(x: Floats, angle: Floats, u: Floats, length: Floats) -> 
 
 def _candidates(count: int) -> list[tuple[Floats, int]]:
     """Knots and degrees of the curves that `count` directions allow, from the stiffest to the most flexible.
-
-    The stiffest is a line and not a constant, so that the uncertainty of the rate counts for the plane.
-    """
+    A line and not a constant is the stiffest: the rate's uncertainty counts for the plane."""
     curves = [(np.repeat([0.0, 1.0], degree + 1), degree) for degree in (1, 2)]
     for intervals in _INTERVALS:
         inner = np.linspace(0.0, 1.0, intervals + 1)[1:-1]

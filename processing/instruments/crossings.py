@@ -78,9 +78,12 @@ def inferred_half_cycles(times_ns: Ints, deflection_rad: Floats, u_deflection_ra
     values, u = deflection_rad[has_spot], u_deflection_rad[has_spot]
     spacing_s = float(np.median(np.diff(time_s)))
     level = 0.5 * float(np.min(values) + np.max(values))
-    half_s = _half_period_s(time_s, values - level, spacing_s)
-    if not half_s > 0:
+    interval_s = np.diff(time_s[_sign_changes(time_s, values - level, spacing_s)])
+    # during a slow crossing noise changes the sign several times within a few samples
+    interval_s = interval_s[interval_s > 6 * spacing_s]
+    if not len(interval_s):
         return []
+    half_s = float(np.median(interval_s))
     crossings = _crossings(time_s, values - level, u, half_s, spacing_s)
     if len(crossings) < 3:
         return []
@@ -134,14 +137,6 @@ def joined_half_cycles(recorded: Sequence[HalfCycle], inferred: Sequence[HalfCyc
 def _sign_changes(time_s: Floats, values: Floats, spacing_s: float) -> Ints:
     """Indices of samples after which the sign changes, without a gap."""
     return np.flatnonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))
-
-
-def _half_period_s(time_s: Floats, values: Floats, spacing_s: float) -> float:
-    """Median interval between recorded changes of sign."""
-    interval = np.diff(time_s[_sign_changes(time_s, values, spacing_s)])
-    # during a slow crossing noise changes the sign several times within a few samples
-    interval = interval[interval > 6 * spacing_s]
-    return float(np.median(interval)) if len(interval) else math.nan
 
 
 def _crossings(time_s: Floats, values: Floats, u: Floats, half_s: float, spacing_s: float) -> list[_Crossing]:

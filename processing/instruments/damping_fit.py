@@ -205,10 +205,8 @@ def _excess(points: TurningPoints, run: Ints) -> Floats:
 
 
 def _simulate(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
-    """The same decay with another random drive and other measurement errors.
-
-    A kick keeps its ratio to the amplitude, which is exact for linear damping, and shifts all later times.
-    """
+    """The same decay with another random drive and other measurement errors. A kick keeps its ratio to the
+    amplitude, which is exact for linear damping, and shifts all later times."""
     amplitude = points.amplitude
     relative = step * np.sqrt(np.diff(points.index, prepend=points.index[0])) / amplitude
     factor = np.exp(np.cumsum(relative * rng.standard_normal(len(points))))

@@ -41,7 +41,6 @@ class FrictionLaw:
     covariance: Floats
     """Covariance of (ln initial amplitude, ln q, s)."""
     chi2_per_dof: float
-    amplitude_model_rad: Floats
 
     @property
     def mean_moment(self) -> Estimate:
@@ -98,7 +97,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     if not np.all(np.isfinite(np.diag(covariance))):
         raise DataError("the decay is too short to tell friction from its exponent; measure longer")
     _, u_log_moment, u_exponent = np.sqrt(np.diag(covariance)).tolist()
-    log_initial, log_moment, exponent = solution.values.tolist()
+    _, log_moment, exponent = solution.values.tolist()
     moment = math.exp(log_moment)
     return FrictionLaw(
         reference_rad=reference,
@@ -106,7 +105,6 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
         exponent=Estimate(exponent, u_exponent),
         covariance=covariance,
         chi2_per_dof=chi2_per_dof,
-        amplitude_model_rad=_decay(log_initial, log_moment, exponent, reference, steps),
     )
 
 

@@ -79,10 +79,8 @@ def with_release(
 def _release_fit(
     time_s: Floats, values: Floats, u_values: Floats, half_s: float, cubic: float
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Angle and time of the release, and their uncertainties; None if the samples show no release.
-
-    `cubic` is the coefficient of tau^3 for a loss by drag alone.
-    """
+    """Angle and time of the release, and their uncertainties; None if the samples show no release. `cubic` is
+    the coefficient of tau^3 for a loss by drag alone."""
     prior_row = np.zeros(len(_POWERS) + 1)
     prior_row[1] = 1 / (_U_DRAG_FRACTION * cubic)
     release_s, scale_s = 0.0, _REACH_HALF_PERIODS * half_s

@@ -100,10 +100,8 @@ def _fit(x: Floats, values: Floats, u_values: Floats) -> tuple[Floats, Floats]:
 
 
 def _relative_to_rest(half_cycles: list[HalfCycle]) -> list[HalfCycle]:
-    """Amplitudes relative to the rest position, a straight line in time fitted to all turning points.
-
-    Three successive turning points whose amplitudes form a geometric series determine it exactly.
-    """
+    """Amplitudes relative to the rest position, a straight line in time through all turning points: three
+    successive ones whose amplitudes form a geometric series determine it exactly."""
     good = [half_cycle for half_cycle in half_cycles if not half_cycle.flags]
     triples = [
         (a, b, c)

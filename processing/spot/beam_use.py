@@ -259,26 +259,18 @@ _DIRECTIONS = 12
 
 @dataclass(frozen=True, slots=True)
 class BeamShape:
-    """Numbers that describe the shape of a beam.
-
-    Attributes
-    ----------
-    departure
-        Largest smoothed difference from the fitted Gaussian, relative to its peak; 0 for a Gaussian.
-    away_sigmas, away_px
-        Distance of that difference from the centre.
-    extra_light
-        Whether the beam has more light there than the Gaussian.
-    lopsided
-        Ratio of the steepest fall of the light on one side to that on the opposite side, the largest of
-        several directions; 1 for a Gaussian. An obstacle in the beam makes one side steep.
-    """
+    """Numbers that describe the shape of a beam."""
 
     departure: float
+    """Largest smoothed difference from the fitted Gaussian, relative to its peak; 0 for a Gaussian."""
     away_sigmas: float
     away_px: float
+    """Distance of that difference from the centre."""
     extra_light: bool
+    """Whether the beam has more light there than the Gaussian."""
     lopsided: float
+    """Ratio of the steepest fall of the light on one side to that on the opposite side, the largest of
+    several directions; 1 for a Gaussian. An obstacle in the beam makes one side steep."""
 
 
 def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: float) -> BeamShape | None:

@@ -114,11 +114,8 @@ def follow(
 
 @kernel
 def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fit: SpotFit) -> bool:
-    """Whether the fitted spot resembles that of the previous frame; if not, the whole frame is searched.
-
-    The size must agree within a factor of two, and the amplitude must exceed 5 % of the previous one and be
-    significant. Otherwise the fit may have followed a reflection or a hot pixel instead of the laser spot.
-    """
+    """Whether the fitted spot resembles the last one: size within a factor of 2, amplitude above 5 % of it.
+    If not, the fit may have followed a reflection or a hot pixel."""
     ratio_x = p[SIGMA_X] / memory[LAST + SIGMA_X]
     ratio_y = p[SIGMA_Y] / memory[LAST + SIGMA_Y]
     return (
@@ -131,10 +128,8 @@ def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fit: SpotFit) -> bo
 
 @kernel
 def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> SpotFit:
-    """General fit of a single spot, upright unless its tilt is significant (five standard deviations).
-
-    The result has ``converged = False`` also for a spot that is too small or not significant.
-    """
+    """General fit of one spot, upright unless its tilt is significant (5 u). `converged` is False also for a
+    spot that is too small or not significant."""
     p = work.parameters
     fit = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
     tilted = False

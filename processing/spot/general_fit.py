@@ -71,10 +71,7 @@ def inverse_covariance(p: Floats) -> tuple[float, float, float]:
 def _add_pixel(
     size: int, weight: float, weighted_residual: float, derivative: Floats, gradient: Floats, matrix: Floats
 ) -> None:
-    """Add a pixel to the sums of the first `size` parameters.
-
-    The sums take most of the time of a fit: the trailing parameters that are not fitted are left out.
-    """
+    """Add a pixel to the sums of the first `size` parameters; these sums take most of the time of a fit."""
     for k in range(size):
         gradient[k] += weighted_residual * derivative[k]
         weighted = weight * derivative[k]

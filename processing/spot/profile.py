@@ -86,6 +86,8 @@ class ProfileFit(NamedTuple):
     """Number of pixels left out because of their residual."""
     u_x_px: float
     u_y_px: float
+    middle_px: tuple[float, float]
+    """Middle (x, y) of the fitted window on the sensor, to which the background refers."""
 
 
 def fit_at(
@@ -138,6 +140,7 @@ def fit_at(
                 outliers,
                 u_x,
                 u_y,
+                (left + 0.5 * (x1 - x0 - 1), top + 0.5 * (y1 - y0 - 1)),
             )
         if not shift_px > 1.0:
             return None
@@ -250,8 +253,7 @@ def _residual(
     y0, y1 = max(0, -shift_y), min(ny, values.shape[0] - shift_y)
     light[y0:y1, x0:x1] = fit.p[LIGHT] * values[y0 + shift_y : y1 + shift_y, x0 + shift_x : x1 + shift_x]
     column, row = np.arange(nx) + sample.origin_px[0], np.arange(ny) + sample.origin_px[1]
-    # the background is that in the middle of the fitted window
-    middle_x, middle_y = _window_middle(profile, sample, fit)
+    middle_x, middle_y = fit.middle_px
     plane = fit.p[LEVEL] + fit.p[SLOPE_X] * (column - middle_x) + fit.p[SLOPE_Y] * (row - middle_y)[:, None]
     residual: Floats = sample.pixels - plane - light
     positive = np.maximum(light, 0.0)
@@ -261,16 +263,6 @@ def _residual(
     residual[plane + light + 3.0 * np.sqrt(variance) >= noise.full_scale_dn] = np.nan
     residual[residual**2 > GATE * max(fit.chi2_per_dof, 1.0) * variance] = np.nan
     return np.asarray(residual / fit.p[LIGHT])
-
-
-def _window_middle(profile: BeamProfile, sample: Sample, fit: ProfileFit) -> tuple[float, float]:
-    """Middle of the window that was fitted, on the sensor."""
-    middles = []
-    for axis, index in enumerate((CENTRE_X, CENTRE_Y)):
-        first, size = sample.origin_px[axis], sample.pixels.shape[1 - axis]
-        centre, half = round(fit.p[index]), profile.half_px[axis]
-        middles.append(0.5 * (max(first, centre - half) + min(first + size - 1, centre + half)))
-    return middles[0], middles[1]
 
 
 def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> Floats:
@@ -316,10 +308,8 @@ def _gaussian(size_x: int, size_y: int, centre: Floats, shape: Shape) -> Floats:
 
 
 def _to_spline(size: int, sigma_px: float) -> Floats:
-    """Matrix (size, size) from values at grid points to spline coefficients.
-
-    With knots further apart than a pixel it is the spline of least squares, expressed on the grid.
-    """
+    """Matrix (size, size) from values at grid points to spline coefficients. With knots further apart than a
+    pixel it is the spline of least squares, expressed on the grid."""
     grid = np.arange(size, dtype=np.float64)
     values_of_spline = np.zeros((size, size))
     np.fill_diagonal(values_of_spline, 4.0 / 6.0)

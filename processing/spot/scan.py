@@ -201,10 +201,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
 
 @kernel
 def _order_statistic(sample: Ints, rank: int, bits: int) -> int:
-    """Order statistic: the highest value of `bits` bits such that at most `rank` of the sample are lower.
-
-    It is built up from the highest bit down, which needs no sorting.
-    """
+    """Highest value of `bits` bits such that at most `rank` of the sample are lower, found bit by bit."""
     value = 0
     for bit in range(bits - 1, -1, -1):
         trial = value | (1 << bit)

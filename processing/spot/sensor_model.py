@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from processing.arrays import Floats
-from processing.errors import DataError
 from processing.kernel import kernel
 
 LEAST_VARIANCE_DN2 = 1.0 / 12.0
@@ -34,12 +33,7 @@ class SensorModel:
     The variance of a pixel is ``(read_noise_e / gain_e_per_dn)^2 + 1/12 + light_dn / gain_e_per_dn``
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`; with the default 0
     the whole background counts as light. `prnu`, the photo-response non-uniformity, adds
-    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light.
-
-    Raises
-    ------
-    DataError
-        A gain or full scale that is not positive, a negative read noise, pedestal or PRNU.
+    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light. The configuration checks the ranges.
     """
 
     gain_e_per_dn: float = field(metadata={"gt": 0})
@@ -55,15 +49,6 @@ class SensorModel:
     hot_pixels_xy: tuple[tuple[int, int], ...] = field(
         default=(), metadata={"description": "pixels (x, y) of a frame that are left out of every fit"}
     )
-
-    def __post_init__(self) -> None:
-        for name, value in (("gain_e_per_dn", self.gain_e_per_dn), ("full_scale_dn", self.full_scale_dn)):
-            if not value > 0:
-                raise DataError(f"sensor model: {name} = {value!r} must be positive")
-        for name in ("read_noise_e", "pedestal_dn", "prnu"):
-            value = getattr(self, name)
-            if not value >= 0:
-                raise DataError(f"sensor model: {name} = {value!r} must not be negative")
 
     @property
     def dark_variance_dn2(self) -> float:

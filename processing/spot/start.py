@@ -52,10 +52,8 @@ class _Area(NamedTuple):
 
 @kernel
 def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> float:
-    """Distance in px from (x, y) to where the light falls below a level, along the direction (dx, dy).
-
-    It is interpolated linearly between pixels, and NaN if the image's edge comes first.
-    """
+    """Distance in px from (x, y) along (dx, dy) to where the light falls below a level, interpolated between
+    pixels; NaN if the image's edge comes first."""
     ny, nx = image.shape
     last_value = float(image[y, x])
     distance = 0
@@ -227,10 +225,8 @@ _PREFETCH_HALF_WIDTH_PX = 32
 
 @kernel
 def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
-    """Climb up or down column `x` to its local maximum; returns the value there and y.
-
-    A scan of every `row_step`-th row usually misses the spot's brightest row.
-    """
+    """Value and y of the local maximum in column `x`; a scan of some rows usually misses the brightest
+    row."""
     ny = image.shape[0]
     for _ in range(64):
         has_moved = False

@@ -45,11 +45,8 @@ from processing.spot.upright_score import TABLE_ROWS
 
 
 class _Writable:
-    """Array interface to the memory of a read-only array, without the mark that it is read-only.
-
-    numba treats read-only arrays as a separate type and would compile every kernel a second time for them.
-    The kernels do not write to the image.
-    """
+    """Array interface to a read-only array's memory without the mark that it is read-only: for such arrays
+    numba would compile every kernel again. The kernels do not write to the image."""
 
     def __init__(self, image: Image) -> None:
         self._image = image
@@ -266,11 +263,8 @@ class SpotTracker:
         return last[[X, Y, AMPLITUDE, BACKGROUND]], shape
 
     def _follow_jump(self, image: Image, placement: Placement) -> Result:
-        """Spot of a frame in which it is not at the expected position, but may be near its last one.
-
-        A search there gives the start values of the fit. The spot must resemble the last one: it could be a
-        reflection while the laser spot is further away.
-        """
+        """Spot near its last position of a frame in which it is not at the expected one. It must resemble the
+        last one: it could be a reflection while the laser spot is further away."""
         last = self._memory[LAST : LAST + PARAMETERS].copy()
         reach_px = _NEAR_REACH_SIGMA * max(last[SIGMA_X], last[SIGMA_Y]) + _NEAR_MARGIN_PX
         size = _NEAR_SIZE_STEP_PX * math.ceil(2 * reach_px / _NEAR_SIZE_STEP_PX)
@@ -303,11 +297,8 @@ class SpotTracker:
         row_step: int,
         is_window: bool,
     ) -> Result:
-        """Spot of an image without knowledge of earlier ones; LOST if there is none.
-
-        A window of a frame (`is_window`) may contain only the flank of a spot outside. Near its edge the last
-        two methods, which take long, are therefore not tried.
-        """
+        """Spot of an image without knowledge of earlier ones; LOST if there is none. Near the edge of a
+        window (`is_window`), with only the flank of a spot outside, the slow methods are not tried."""
         memory[TILT_HINTS] = 0.0
         for method in _METHODS if row_step > 1 else _METHODS[1:]:
             if not find_start(
@@ -316,7 +307,9 @@ class SpotTracker:
             ):  # fmt: skip
                 continue
             start = NEAR if method < AREAS else ROUGH
-            if is_window and start == ROUGH and _near_edge(image.shape, self._work[0]):
+            x, y, sigma_x, sigma_y = self._work[0, [X, Y, SIGMA_X, SIGMA_Y]]
+            edge_x, edge_y = min(x, image.shape[1] - 1 - x), min(y, image.shape[0] - 1 - y)
+            if is_window and start == ROUGH and (edge_x < 2.0 * sigma_x or edge_y < 2.0 * sigma_y):
                 break
             result = follow(image, *placement, memory, self._work, self._tables, self._noise, start)
             if result[FLAGS] != SEARCH:
@@ -341,9 +334,3 @@ class SpotTracker:
         reach_y = math.ceil(_RECORD_REACH_SIGMA * half_y) + _RECORD_MARGIN_PX
         x, y = round(spot.x_px), round(spot.y_px)
         return max(0, x - reach_x), max(0, y - reach_y), min(nx, x + reach_x + 1), min(ny, y + reach_y + 1)
-
-
-def _near_edge(shape: tuple[int, ...], p: Floats) -> bool:
-    """Whether the image's edge is nearer to the spot than two standard deviations."""
-    edge_x, edge_y = min(p[X], shape[1] - 1 - p[X]), min(p[Y], shape[0] - 1 - p[Y])
-    return bool(edge_x < 2.0 * p[SIGMA_X] or edge_y < 2.0 * p[SIGMA_Y])

@@ -102,11 +102,9 @@ def _walk_kernel(
     deflection: Vector,
     u_deflection: Vector,
 ) -> tuple[Matrix, Floats, Floats, Matrix, Matrix, Matrix, bool]:
-    """Normal equations of every half-cycle in terms of the first state `x0`; fields of `Arc` to `chi2_each`.
-
-    Half-cycle k has the samples ``bounds[k]`` to ``bounds[k + 1]``; the next reference time is ``steps[k]`` s
-    later. The last value returned is False if a state became infinite or the amplitude not positive.
-    """
+    """Normal equations of every half-cycle by the first state `x0`; fields of `Arc` to `chi2_each`, and
+    whether the motion goes on. Half-cycle k has the samples from ``bounds[k]``; the next begins ``steps[k]``
+    s later."""
     k, halves = len(active), len(sides)
     states = np.empty((halves, STATES))
     transitions, information = np.empty((halves, k, k)), np.empty((halves, k, k))

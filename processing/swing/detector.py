@@ -133,11 +133,8 @@ class TurningPointDetector:
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
     def _start_flag(self, last: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
-        """Flag START if the motion after a disturbance differs from the motion before it; otherwise no flag.
-
-        The motion is the same if the time since the `last` unflagged turning point is a whole number of half
-        periods of the right parity, and the amplitude has neither grown nor fallen faster than in a decay.
-        """
+        """START if the motion after a disturbance is another: not a whole number of half periods, of the
+        right parity, after the `last` unflagged turning point, or of an amplitude that no decay has."""
         time_s = seconds(first.half.reference_ns - last.turn_time_ns) + first.result.time_s
         half_periods = time_s / self._half_period_s
         time_error = abs(math.remainder(half_periods - int(first.half.side != last.side), 2.0))

@@ -188,11 +188,8 @@ class OscillationFollower:
         )
 
     def _measure_moved_rest(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, HalfCycleFlag, bool]:
-        """Measure with wide uncertainties of the centre and its drift, for a rest position that has moved.
-
-        A first fit, with the centre free within the amplitude, finds the shift. The second one allows for
-        a shift of that size and a drift of that shift per half period.
-        """
+        """Measure with wide uncertainties of centre and drift, for a rest position that has moved. A first
+        fit finds the shift; the second allows for that shift, and for a drift of it per half period."""
         wide = self._covariance.copy()
         wide[CENTRE, CENTRE] += self._x[AMPLITUDE] ** 2
         shift = float(self._fit(half, wide).state[CENTRE] - self._x[CENTRE])
@@ -202,13 +199,8 @@ class OscillationFollower:
         return self._measure(half, wide)
 
     def _learn_drift_noise(self, result: HalfCycleFit) -> None:
-        """Adapt the process noise of the drift so that centre and drift are corrected as much as expected.
-
-        If the filter is consistent, a correction has the variance P - P', that before minus that after the
-        measurement, and the running means of correction^2/(P - P') should be 1. Slow noise of the samples
-        corrects the centre more than expected however large the noise of the drift is: the smaller of both
-        means counts.
-        """
+        """Adapt the drift's process noise until the means of correction^2/(P - P'), before and after, are 1.
+        The smaller of both counts: slow noise corrects the centre too much whatever the drift's noise is."""
         expected = (self._covariance - result.covariance).diagonal()[[CENTRE, DRIFT]]
         if not np.all(expected > 0.0):
             return
@@ -249,7 +241,12 @@ class OscillationFollower:
         else:
             self._process_noise = max(self._process_noise * 0.9, 1.0)
         if has_jumped:
-            self._accept_jump(result)
+            # a kick: replace amplitude and time by the measured ones and drop the motion before it
+            self._history = None
+            self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
+            for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
+                self._covariance[k, :] = self._covariance[:, k] = 0.0
+                self._covariance[k, k] = u * u
             return HalfCycleFlag.START
         self._refit()
         # The model is nearly linear in the damping, which changes considerably over a long decay: expand
@@ -283,10 +280,8 @@ class OscillationFollower:
         return True
 
     def _add_anharmonic_terms(self) -> None:
-        """Add the anharmonic terms, which joint fits of a driven motion do not find.
-
-        A fast mode near the third harmonic is dropped, because it was fitted in place of these terms.
-        """
+        """Add the anharmonic terms, which joint fits of a driven motion do not find. A fast mode near the
+        third harmonic is dropped, because it was fitted in place of these terms."""
         terms = {*self._active.tolist(), *ANHARMONIC}
         if abs(self._x[FAST_RATE] / self._x[RATE] - 3.0) < _THIRD_HARMONIC_RANGE:
             terms -= set(FAST_MODE)
@@ -298,21 +293,9 @@ class OscillationFollower:
             self._covariance[term, term] = sigma[term] ** 2
         self._active = np.array(sorted(terms), dtype=np.int64)
 
-    def _accept_jump(self, result: HalfCycleFit) -> None:
-        """After a kick, replace amplitude and time by the measured ones and drop the motion before it."""
-        self._history = None
-        self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
-        for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
-            self._covariance[k, :] = self._covariance[:, k] = 0.0
-            self._covariance[k, k] = u * u
-
     def _refit(self) -> None:
-        """Fit all half-cycles so far again jointly, each time their number has about doubled.
-
-        The filter linearises the motion at each step. Without refits, terms that the first half-cycles
-        hardly determine would keep an error from the poor states about which they were linearised. The joint
-        fit also decides whether the anharmonic terms are needed.
-        """
+        """Fit all half-cycles so far jointly, each time their number has about doubled: terms would keep an
+        error from the poor first states about which they were linearised."""
         refits = _REFIT_HALF_CYCLES if SHAPE + RISE in self._active else _LINEAR_REFIT_HALF_CYCLES
         if self._history is None or len(self._history) not in refits:
             return
@@ -327,11 +310,8 @@ class OscillationFollower:
             self._history = None
 
     def _adopt(self, arc: Arc) -> None:
-        """Continue from the last state of an arc.
-
-        The arc has no process noise, so the variances of centre and drift are enlarged by what a random walk
-        of the drift adds over its half-cycles.
-        """
+        """Continue from the last state of an arc. It has no process noise: the variances of centre and drift
+        are enlarged by a random walk of the drift over its half-cycles."""
         self._active = arc.active
         self._x, self._covariance = state_on_arc(arc, len(arc.states) - 1)
         self._covariance *= self.noise.level.effective**2

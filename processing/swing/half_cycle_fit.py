@@ -147,12 +147,8 @@ def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start
 
 @kernel
 def _reject_outliers(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
-    """Reject outliers by setting their weight to 0; returns the number of new ones.
-
-    A sample is an outlier if its residual after the step exceeds OUTLIER_U times its uncertainty, and also
-    OUTLIER_U times the robust scatter of all samples. The second condition is needed because a single outlier
-    shifts the whole fit, so that the residuals of good samples are large too.
-    """
+    """Set the weight of outliers to 0; returns the number of new ones. The robust scatter is a limit, too: a
+    single outlier shifts the fit, so that residuals of good samples are large."""
     n = len(residual)
     size, count, largest = np.empty(n), 0, 0.0
     for i in range(n):
@@ -181,13 +177,8 @@ def _reject_outliers(residual: Vector, jacobian: Matrix, step: Vector, weight: V
 
 @kernel
 def _forget_drift(mean: Vector, covariance: Matrix, active: Ints) -> None:
-    """Set the drift to zero if it is not significant; this reduces the scatter of the centre four times.
-
-    The prior is conditioned on drift = 0. With the variance v of the drift and its column c of the
-    covariance C,
-
-        mean <- mean - c drift/v,   C <- C - c c^T/v.
-    """
+    """Condition the prior on drift = 0 if the drift is not significant, with its variance v and column c:
+    mean <- mean - c drift/v, C <- C - c c^T/v. The centre then scatters four times less."""
     for d in range(len(active)):
         if active[d] != DRIFT:
             continue

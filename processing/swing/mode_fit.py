@@ -205,10 +205,8 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
 
 
 def _step(information: Floats, score: Floats, indices: Ints) -> tuple[Floats, Floats]:
-    """Change of the terms with these indices, and their covariance.
-
-    Terms without any information do not change, nor do combinations of terms that nothing determines.
-    """
+    """Change of the terms with these indices, and their covariance. Terms without any information do not
+    change, nor do combinations of terms that nothing determines."""
     informed = indices[information[indices, indices] > 0.0]
     block = np.ix_(informed, informed)
     scale = information[informed, informed] ** -0.5
@@ -231,11 +229,8 @@ def _step(information: Floats, score: Floats, indices: Ints) -> tuple[Floats, Fl
 def _equations(
     p: Floats, t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats
 ) -> tuple[Floats, Floats, float, Floats, Floats]:
-    """Information matrix and score in all terms, chi-square, residuals in x and y.
-
-    The coupling k mixes the slow motions X and Y of the coordinates: that of x is X + k t Y, that of y is
-    Y - k t X (see `modes`).
-    """
+    """Information matrix and score in all terms, chi-square, residuals in x and y. The coupling k makes the
+    slow motion X + k t Y in x, and Y - k t X in y (see `modes`)."""
     information, score = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
     # sums of each coordinate, whose terms are side by side: the innermost loop takes several at once
     size = _TERMS_PER_COORDINATE
@@ -307,11 +302,8 @@ def _strongest(
     spacing: float,
     count: int,
 ) -> tuple[float, float]:
-    """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x.
-
-    The search takes `count` frequencies from `first` on. They are evenly spaced, so that the phase of each
-    sample advances by a constant angle from one to the next: a recursion replaces the cosines.
-    """
+    """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x. The
+    `count` frequencies from `first` on are evenly spaced: a recursion replaces the cosines."""
     turn_c, turn_s = np.cos(spacing * t), np.sin(spacing * t)
     phase_c, phase_s = np.cos(first * t), np.sin(first * t)
     best_power, best_index, best_x = -1.0, 0, 0.0

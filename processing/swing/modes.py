@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.errors import DataError
 from processing.swing.mode_fit import (
     ALL_TERMS,
     FAST_AMPLITUDES,
@@ -112,14 +111,7 @@ def separate_modes(
         None if there is no oscillation: the slow mode explains less than half of the variance or leaves
         residuals much larger than the noise, the samples cover less than about one of its periods, or
         there are fewer than 20 samples.
-
-    Raises
-    ------
-    DataError
-        Lengths differ.
     """
-    if any(values.shape != times_ns.shape for values in (x, y, u_x, u_y)):
-        raise DataError("times, coordinates and uncertainties must be of one length")
     is_finite = np.isfinite(x) & np.isfinite(y)
     times = times_ns[is_finite]
     if len(times) < _MIN_SAMPLES or times[0] == times[-1]:
@@ -156,10 +148,7 @@ def separate_modes(
 
 def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> ModeFit:
     """The fit with each coordinate's uncertainties enlarged by its scatter; the same fit if there is none.
-
-    The scatter across the slow mode is the residual of a fast mode that stops within the samples: the fitted
-    one, or one of this period (NaN: none). It shifts the slow mode by more than noise of the same size.
-    """
+    Scatter across the slow mode is that of a fast mode that stops: the fitted one, or one of this period."""
     dof = max(len(samples.t) - len(fit.active) / 2.0, 1.0)
     chi2_per_dof_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
     chi2_per_dof_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof

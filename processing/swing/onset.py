@@ -152,10 +152,8 @@ class OnsetSearch:
                 self._attempt_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
 
     def _is_disturbance(self) -> bool:
-        """Whether these turning points are a disturbance and not the oscillation that was followed before.
-
-        Shortly after a loss, the period must be similar to the one before.
-        """
+        """Whether the period differs, shortly after a loss, from that of the oscillation that was
+        followed."""
         if math.isnan(self._half_period_s):
             return False
         silence = seconds(self._pivots[0].time_ns - self._lost_ns) / self._half_period_s
@@ -241,11 +239,8 @@ def _measure(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -> Fi
 def _measure_before(
     samples: SampleBuffer, arc: Arc, first: HalfCycleSamples, noise_scale: float
 ) -> FirstHalfCycle | None:
-    """Measure the half-cycle before the arc; None if its turning point was not recorded.
-
-    If it is disturbed, it contains the release and is flagged START. It is also flagged if its amplitude does
-    not belong to the decay, as of a pendulum that was not quite at rest before a push.
-    """
+    """Measure the half-cycle before the arc; None if its turning point was not recorded. It is flagged START
+    if it is disturbed, by the release, or its amplitude does not belong to the decay."""
     x, covariance, reference_ns = state_before(arc, first.reference_ns)
     table, _ = tabulated(x, x, arc.reference, np.empty(0, dtype=np.int64))
     start = float(x[TIME]) + zero_phases(table)[0] / float(x[RATE])

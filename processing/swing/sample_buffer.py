@@ -133,11 +133,6 @@ class Pivot(NamedTuple):
 
 
 @kernel
-def _median(a: float, b: float, c: float) -> float:
-    return max(min(a, b), min(max(a, b), c))
-
-
-@kernel
 def search(
     times_ns: Ints,
     deflection: Floats,
@@ -163,7 +158,8 @@ def search(
             state[_BEFORE_LAST], state[_LAST] = state[_LAST], raw
             state[_COUNT] += 1.0
             continue
-        value = _median(state[_BEFORE_LAST], state[_LAST], raw)
+        low, high = min(state[_BEFORE_LAST], state[_LAST]), max(state[_BEFORE_LAST], state[_LAST])
+        value = max(low, min(high, raw))
         state[_BEFORE_LAST], state[_LAST] = state[_LAST], raw
         if value > state[_HIGHEST]:
             state[_HIGHEST] = value

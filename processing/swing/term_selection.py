@@ -113,13 +113,8 @@ def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     fit succeeds.
     """
     if known is not None:
-        arc = fit_arc(
-            known.put_into(start),
-            prior(start, anharmonic=False),
-            halves,
-            known.reference,
-            _KNOWN_MOTION_TERMS,
-        )
+        expected = prior(start, anharmonic=False)
+        arc = fit_arc(known.put_into(start), expected, halves, known.reference, _KNOWN_MOTION_TERMS)
         return None if arc is None else _best_with_fast_mode([arc], halves)
     reference = float(start[AMPLITUDE])
     linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, _LINEAR)
@@ -142,9 +137,18 @@ def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
 
 def _best_with_fast_mode(arcs: list[Arc], halves: Sequence[HalfCycleSamples]) -> Arc:
     """Best of these arcs and, where they fit poorly, of those with a fast mode added."""
-    poor = [arc for arc in arcs if arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples]
-    extended = [_with_fast_mode(arc, halves) for arc in poor]
-    return best_arc([*arcs, *(arc for arc in extended if arc is not None)])
+    candidates = list(arcs)
+    for arc in arcs:
+        is_poor = arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples
+        guess = guess_fast_mode(arc, halves) if is_poor else None
+        if guess is not None:
+            start = arc.states[0].copy()
+            start[FAST_RATE], start[FAST_COSINE], start[FAST_SINE] = guess
+            expected = prior(start, anharmonic=len(arc.active) > len(_LINEAR))
+            terms = (*arc.active.tolist(), *FAST_MODE)
+            extended = fit_arc(start, expected, halves, arc.reference, terms)
+            candidates += [] if extended is None else [extended]
+    return best_arc(candidates)
 
 
 def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
@@ -179,16 +183,6 @@ def best_arc(arcs: Sequence[Arc]) -> Arc:
         return arc.chi2 / scale + penalty
 
     return min(arcs, key=cost)
-
-
-def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
-    guess = guess_fast_mode(arc, halves)
-    if guess is None:
-        return None
-    start = arc.states[0].copy()
-    start[FAST_RATE], start[FAST_COSINE], start[FAST_SINE] = guess
-    expected = prior(start, anharmonic=len(arc.active) > len(_LINEAR))
-    return fit_arc(start, expected, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
 
 
 @kernel

@@ -20,7 +20,6 @@ from processing.balance import (
     names_with_units,
 )
 from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import DataError
 from processing.units import ARCSEC_RAD
 
 RATE, FAST_RATE, ANGLE, WIDTH, TURNING = 1.55, 7.5, 0.03, 0.01, 1e-4
@@ -174,13 +173,6 @@ def test_px_are_never_called_rad_and_have_no_limits_in_arcsec() -> None:
     ]  # fmt: skip
     with pytest.raises(ValueError, match="a balance in px has no limits"):
         balance_checks(balance, (math.nan, math.nan), BalanceLimits())
-
-
-def test_bad_input() -> None:
-    with pytest.raises(DataError, match="of one length"):
-        BalanceEstimator().update(
-            Deflections(np.arange(3), *[np.zeros(3)] * 3, np.zeros(2), DeflectionUnit.RAD)
-        )
 
 
 def test_the_waveform_of_a_decay_by_friction_is_no_fast_mode() -> None:

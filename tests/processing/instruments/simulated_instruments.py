@@ -236,7 +236,9 @@ def _contact(kind: str, seed: int) -> Mapping[str, Recovered]:
     truth = config.simulation.contact
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
-    points = _noisy_points(truth_points(config.simulation, 2 / 3600), truth.period0_s, seed)
+    turns, rng = truth_points(config.simulation, 2 / 3600), np.random.default_rng(seed)
+    angle_rad = np.abs(turns.angle_rad)
+    points = with_noise(turns.time_s, angle_rad, truth.period0_s, POINT_NOISE_ARCSEC, rng)
     fit = fit_exact(points, pendulum)
     recovered = {name: Recovered(fit.estimate(name), getattr(truth, name)) for name in ("p", "c")}
     # friction and adhesion at the amplitude where they are known best, clear of the exponents' scatter
@@ -251,11 +253,6 @@ def _contact(kind: str, seed: int) -> Mapping[str, Recovered]:
         expected = math.log(getattr(truth, name)) + getattr(truth, power) * at
         recovered[f"ln {name} at middle"] = Recovered(Estimate(found, u), expected)
     return recovered
-
-
-def _noisy_points(truth: TruePoints, period_s: float, seed: int) -> TurningPoints:
-    rng = np.random.default_rng(seed)
-    return with_noise(truth.time_s, np.abs(truth.angle_rad), period_s, POINT_NOISE_ARCSEC, rng)
 
 
 MEASUREMENTS: Mapping[str, Callable[[int], Mapping[str, Recovered]]] = {

@@ -10,7 +10,7 @@ from processing.arrays import Floats
 from processing.instruments.friction_law import HerbertHardness, herbert_hardness
 from processing.instruments.release import with_release
 from processing.instruments.turning import refined_turning_points
-from processing.swing import half_cycles_of, turning_points
+from processing.swing import HalfCycle, half_cycles_of, turning_points
 
 PERIOD_S, ANGLE, NOISE = 6.1, 0.0907, 2e-5
 World = Callable[[Floats], Floats]
@@ -48,15 +48,17 @@ WORLDS: dict[str, tuple[World, float, float]] = {
 }
 
 
-def measured(world: World, hold_s: float, rate_hz: float, seed: int, side: int) -> HerbertHardness | None:
+def released(time_s: Floats, y: Floats, seed: int) -> list[HalfCycle] | None:
+    """Half-cycles of what is seen with noise, from the release on."""
+    y = y + NOISE * np.random.default_rng(seed).standard_normal(len(y))
+    samples = np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), NOISE)
+    return with_release(*samples, refined_turning_points(*samples, half_cycles_of(*samples)))
+
+
+def measured(world: World, hold_s: float, rate_hz: float, seed: int, side: int) -> HerbertHardness:
     time_s = np.arange(0, hold_s + 36, 1 / rate_hz)
     y = np.where(time_s < hold_s, ANGLE, world(np.maximum(time_s - hold_s, 0.0)))
-    y = side * y + 0.004 + NOISE * np.random.default_rng(seed).standard_normal(len(y))
-    times_ns, u = np.round(1e9 * time_s).astype(np.int64), np.full(len(y), NOISE)
-    found = with_release(
-        times_ns, y, u, refined_turning_points(times_ns, y, u, half_cycles_of(times_ns, y, u))
-    )
-    return None if found is None else herbert_hardness(turning_points(found))
+    return herbert_hardness(turning_points(released(time_s, side * y + 0.004, seed)))
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -85,9 +87,4 @@ def test_a_start_that_is_no_release_is_none(kind: str) -> None:
         "moving": dragged(time_s - 2.0),
     }
     swing = dragged(time_s - 2.0 + (0.25 * PERIOD_S if kind == "pushed" else 0.0))
-    y = np.where(time_s < 2.0, before[kind], swing) + NOISE * np.random.default_rng(1).standard_normal(4000)
-    times_ns, u = np.round(1e9 * time_s).astype(np.int64), np.full(len(y), NOISE)
-    assert (
-        with_release(times_ns, y, u, refined_turning_points(times_ns, y, u, half_cycles_of(times_ns, y, u)))
-        is None
-    )
+    assert released(time_s, np.where(time_s < 2.0, before[kind], swing), 1) is None

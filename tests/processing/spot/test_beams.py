@@ -55,6 +55,7 @@ def test_a_lopsided_beam_is_followed_by_its_own_profile() -> None:
         x1, y1 = x1 + 4 * (k % 2), y1 + 2 * (k % 2)
         second = again.track(image[y0:y1, x0:x1].copy(), (x0, y0), SHAPE)
         assert abs(second.x_px - spots[-1].x_px) < 1e-3 * second.u_x_px
+        assert abs(second.y_px - spots[-1].y_px) < 1e-3 * second.u_y_px
         assert second.flags == spots[-1].flags
     assert tracker.model is SpotModel.LEARNED
     learned = np.array([bool(spot.flags & SpotFlag.LEARNED) for spot in spots])

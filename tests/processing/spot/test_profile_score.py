@@ -107,17 +107,6 @@ def test_the_gate_is_that_of_the_scatter_which_may_be_larger_than_stated(scatter
     assert np.all(np.abs(p - P)[[CENTRE_X, CENTRE_Y]] < 4 * scatter * np.array(u))
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.25, 0.9])
-def test_weights_of_the_spline_sum_to_one_and_turn_a_line_into_itself(phase: float) -> None:
-    weights, slopes = np.empty(4, np.float32), np.empty(4, np.float32)
-    spline_weights(phase, weights, slopes)
-    assert weights.sum() == pytest.approx(1, abs=1e-6)
-    assert slopes.sum() == pytest.approx(0, abs=1e-6)
-    line = np.arange(-1.0, 3.0)
-    assert weights @ line == pytest.approx(phase, abs=1e-6)
-    assert slopes @ line == pytest.approx(1, abs=1e-6)
-
-
 @pytest.mark.parametrize("sigma_px", [2.0, 7.9, 8.1, *np.linspace(8.2, 9.6, 57), 8.47542047015753, 20.0])
 def test_the_spline_of_a_spot_is_the_spot(sigma_px: float) -> None:
     """Also where two knots lie between the same grid points, as for 8.4754 px."""

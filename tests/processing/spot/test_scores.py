@@ -11,6 +11,7 @@ from processing.spot.fit_values import PARAMETERS, TILTED, UPRIGHT, Window, noth
 from processing.spot.general_fit import score_general
 from processing.spot.sensor_model import background_variance
 from processing.spot.tilted_score import information_tilted, score_tilted
+from tests.processing.spot.frames import tilted_light
 
 Floats = NDArray[np.float64]
 SHAPE = (61, 66)
@@ -23,18 +24,10 @@ TWO_SPOTS = np.array([150.0, 27.3, 28.6, 5.0, 4.5, 12.0, 6.0, 70.0, 37.2, 33.9])
 
 
 def expected(p: Floats) -> Floats:
-    """The Gaussian with this covariance matrix, integrated over each pixel by 3 x 3 Gauss points."""
-    nodes, weights = np.polynomial.legendre.leggauss(3)
-    inverse = np.linalg.inv([[p[3] ** 2, p[6]], [p[6], p[4] ** 2]])
-    y, x = np.indices(SHAPE)
-    total = np.full(SHAPE, p[5])
-    for amplitude, x0, y0 in ((p[0], p[1], p[2]), (p[7], p[8], p[9])):
-        for a, wa in zip(nodes / 2, weights / 2, strict=True):
-            for b, wb in zip(nodes / 2, weights / 2, strict=True):
-                u, v = x + a - x0, y + b - y0
-                exponent = inverse[0, 0] * u * u + 2 * inverse[0, 1] * u * v + inverse[1, 1] * v * v
-                total += amplitude * wa * wb * np.exp(-0.5 * exponent)
-    return total
+    """Gaussians with this covariance matrix on their background."""
+    variances, axes = np.linalg.eigh([[p[3] ** 2, p[6]], [p[6], p[4] ** 2]])
+    shape = tuple(np.sqrt(variances).tolist()), math.atan2(axes[1, 0], axes[0, 0])
+    return p[5] + tilted_light(SHAPE, *p[1:3], *shape, p[0]) + tilted_light(SHAPE, *p[8:10], *shape, p[7])
 
 
 def wanted(p: Floats, image: Floats, size: int) -> tuple[Floats, Floats, float]:

@@ -17,13 +17,13 @@ from processing.swing.half_cycle import (
     TIME,
     linearise,
     propagate,
-    tabulate_state,
+    tabulated,
 )
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import judge
 from processing.swing.noise import NoiseLevel
 from processing.swing.turning_point import HalfCycleFlag
-from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
+from processing.swing.waveform import BEND, DAMPING, DRY, RISE, STIFF, N, P
 
 REFERENCE = 100.0
 STATE = np.zeros(STATES)
@@ -35,16 +35,14 @@ ELAPSED_S = 2.03
 
 
 def stepped(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, STATE, REFERENCE, np.arange(STATES), table, turn)
+    _, turn = tabulated(x, STATE, REFERENCE, np.arange(STATES))
     return propagate(x, turn, ELAPSED_S)
 
 
 def left_of_zeros(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals and derivatives at samples of zero before and after the turning point."""
     tau, active = np.linspace(-1.1, 1.3, 25), np.arange(STATES)
-    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    tabulate_state(x, STATE, REFERENCE, active, table, turn)
+    table, _ = tabulated(x, STATE, REFERENCE, active)
     residual, jacobian = np.empty(len(tau)), np.empty((len(tau), STATES))
     linearise(x, -1.0, active, table, tau, np.zeros(len(tau)), residual, jacobian)
     return residual, jacobian

@@ -90,13 +90,13 @@ def test_derivatives(term: int) -> None:
 
 
 def test_damping_alone_is_the_damped_sinusoid() -> None:
-    shape = np.zeros(SHAPES + 1)
-    shape[DAMPING] = 0.05
-    closed, turn = table_of(shape, np.array([DAMPING]))
-    integrated, turn_integrated = table_of(shape, ALL)
-    assert closed[0] == pytest.approx(integrated[0], abs=1e-5)
-    assert closed[1 + DAMPING] == pytest.approx(integrated[1 + DAMPING], abs=1e-4)
-    assert turn[:, : 2 + DAMPING] == pytest.approx(turn_integrated[:, : 2 + DAMPING], abs=1e-4)
+    shape, damping = np.zeros(SHAPES + 1), 0.05
+    shape[DAMPING] = damping
+    table, turn = table_of(shape)
+    s, root = np.arange(NODES_AFTER) * STEP, math.sqrt(1 - damping**2)
+    closed = np.exp(-damping * s) * (np.cos(root * s) + damping / root * np.sin(root * s))
+    assert table[0, NODES_BEFORE:, 0] == pytest.approx(closed, abs=1e-6)
+    assert turn[:, 0] == pytest.approx((math.pi / root, math.exp(-math.pi * damping / root)), abs=1e-6)
 
 
 def test_zero_phases_of_the_undamped() -> None:

@@ -52,21 +52,19 @@ def damped_sinusoid(
     frames_per_s: float = 100.0,
     noise: float = 0.02,
     period_s: float = 4.0,
-    start_s: float = 0.3,
-    centre: float = 12.3,
 ) -> Record:
-    """From amplitude `first` to `last` in so many half-cycles; about the first turning point at `start_s`."""
+    """From amplitude `first` to `last` in so many half-cycles, about 12.3, with a turning point at 0.3 s."""
     rate = 2.0 * math.pi / period_s
     damping = math.log(first / last) / (half_cycles * period_s / 2.0)
     times_ns = sample_times_ns((half_cycles + 1) * period_s / 2.0, frames_per_s)
-    t = times_ns * 1e-9 - start_s
+    t = times_ns * 1e-9 - 0.3
     lag = math.atan(damping / rate)
     turns = (np.arange(half_cycles + 2) * math.pi - lag) / rate
     return Record(
         times_ns,
-        centre + first * np.exp(-damping * t) * np.cos(rate * t) + noise * rng.standard_normal(len(t)),
+        12.3 + first * np.exp(-damping * t) * np.cos(rate * t) + noise * rng.standard_normal(len(t)),
         np.full(len(t), noise),
-        turns + start_s,
+        turns + 0.3,
         first * np.exp(-damping * turns) * math.cos(lag),
     )
 
@@ -74,7 +72,6 @@ def damped_sinusoid(
 def contact_decay(
     contact: str,
     half_cycles: int,
-    first_arcsec: float = 124.0,
     frames_per_s: float = 100.0,
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
@@ -82,7 +79,7 @@ def contact_decay(
     hold: bool = False,
 ) -> Record:
     """Eq. 4 with the moments of Eqs. 1 and 3, integrated, in px; held before `start_s`, a whole frame."""
-    times_s, turns_rad, path_rad = _integrated(contact, first_arcsec, frames_per_s)
+    times_s, turns_rad, path_rad = _integrated(contact, frames_per_s)
     ahead = round(start_s * frames_per_s)
     turn_time_s = start_s + times_s[: half_cycles + 1]
     count = math.floor(turn_time_s[-1] * frames_per_s) + 1
@@ -100,12 +97,11 @@ def contact_decay(
 
 
 @cache
-def _integrated(contact: str, first_arcsec: float, frames_per_s: float) -> tuple[Floats, Floats, Floats]:
+def _integrated(contact: str, frames_per_s: float) -> tuple[Floats, Floats, Floats]:
     """Turning times (s) and points (rad), and positions (rad) in frames, of a whole decay without noise."""
     return driven_path(
-        *paper_pair(contact), q=0.0, seed=0, first_arcsec=first_arcsec, last_arcsec=1.0,
-        frames_per_s=frames_per_s,
-    )  # fmt: skip
+        *paper_pair(contact), q=0.0, seed=0, first_arcsec=124.0, last_arcsec=1.0, frames_per_s=frames_per_s
+    )
 
 
 def air(count: int, rate_hz: float, rng: np.random.Generator) -> Floats:
