@@ -48,38 +48,29 @@ class DragFinding(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drag:
-    """Whether a linear drag is in the data, and what it does to b and c.
-
-    Attributes
-    ----------
-    drag_s
-        Drag of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
-    of_data_s
-        Drag from decay and waveform alone; not determined where a drag could be all of the friction.
-        Where chi2 is not a parabola, the uncertainty agrees with the test:
-        infinite if the decay is described equally well without a drag.
-    known_s
-        Prior knowledge: the estimate for air, or a measured value; None if left open.
-    upper_95_s
-        Bound of 95 % from the data alone; infinite if they set none.
-    f_statistic, p_value
-        Rise of chi2 without the drag, over the scatter, and its probability if there is no drag.
-    relative_shift_b, relative_shift_c
-        Relative change of b and c from a fit without drag to one with it.
-    of_air
-        The drag expected of the air; None if not requested.
-    """
+    """Whether a linear drag is in the data, and what it does to b and c."""
 
     drag_s: Estimate = NOT_DETERMINED
+    """Drag of the reported fit, with prior knowledge; for a fit in vacuum, from the data."""
     of_data_s: Estimate = NOT_DETERMINED
+    """Drag from decay and waveform alone; not determined where a drag could be all of the friction. Where
+    chi2 is not a parabola, the uncertainty agrees with the test: infinite if the decay is described equally
+    well without a drag."""
     known_s: Estimate | None = None
+    """Prior knowledge: the estimate for air, or a measured value; None if left open."""
     upper_95_s: float = inf
+    """Bound of 95 % from the data alone; infinite if they set none."""
     f_statistic: float = nan
+    """Rise of chi2 without the drag, over the scatter."""
     p_value: float = nan
+    """Probability of such a rise if there is no drag."""
     relative_shift_b: float = nan
+    """Relative change of b from a fit without drag to one with it."""
     relative_shift_c: float = nan
+    """The same of c."""
     finding: DragFinding = DragFinding.OPEN
     of_air: ExpectedDrag | None = None
+    """The drag expected of the air; None if not requested."""
 
     @property
     def significant(self) -> bool:
@@ -235,35 +226,28 @@ class VanedRun:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredAir:
-    """The drag without vanes, from runs with several areas.
-
-    Attributes
-    ----------
-    drag_s, drag_per_area_s_per_m2
-        d0, and k.
-    contact
-        The contact's parameters from all runs together.
-    run_drags_s, residuals_s
-        The drag of each run with the contact of all, and that minus the line.
-    chi2, dof, p_value
-        Rise of chi2 by one contact and one line over separate fits of the runs, its degrees of freedom and
-        its probability.
-    u_inflation
-        Factor by which the uncertainties are larger for that rise: the root of chi2/dof, at least 1. A run
-        estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise shows
-        this for all runs together. Over 42 sets of runs on weak ground the rms error is then 0.9 u of d0 and
-        1.05 u of k, but still 1.4 u of n and gamma.
-    """
+    """The drag without vanes, from runs with several areas."""
 
     drag_s: Estimate
+    """d0."""
     drag_per_area_s_per_m2: Estimate
+    """k."""
     contact: Mapping[str, Estimate]
+    """The contact's parameters from all runs together."""
     run_drags_s: tuple[Estimate, ...]
+    """The drag of each run with the contact of all."""
     residuals_s: tuple[float, ...]
+    """These minus the line."""
     chi2: float
+    """Rise of chi2 by one contact and one line over separate fits of the runs."""
     dof: int
     p_value: float
+    """Probability of so large a rise if the runs share one contact and one line."""
     u_inflation: float
+    """Factor by which the uncertainties are larger for that rise: the root of chi2/dof, at least 1. A run
+    estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise shows this
+    for all runs together. Over 42 sets of runs on weak ground the rms error is then 0.9 u of d0 and 1.05 u of
+    k, but still 1.4 u of n and gamma."""
 
     @property
     def disagree(self) -> bool:

@@ -41,25 +41,17 @@ _OUTLIER_U = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """Odd harmonics in quadrature of the swing over a decay, with their covariance.
-
-    Attributes
-    ----------
-    amplitude_rad
-        Amplitudes (n,) of the pieces.
-    sine_rad
-        Their harmonics of orders 3, 5, 7 and 9 (n, 4).
-    covariance
-        Covariance (n, 4, 4) of each piece's harmonics: that of the samples, enlarged to the scatter of
-        neighbours, which contains the ground's part whatever its spectrum.
-    scatter
-        Ratio of the scatter to that by the stated uncertainties of the samples, as standard deviations.
-    """
+    """Odd harmonics in quadrature of the swing over a decay, with their covariance."""
 
     amplitude_rad: Floats
+    """Amplitudes (n,) of the pieces."""
     sine_rad: Floats
+    """Their harmonics of orders 3, 5, 7 and 9 (n, 4)."""
     covariance: Floats
+    """Covariance (n, 4, 4) of each piece's harmonics: that of the samples, enlarged to the scatter of
+    neighbours, which contains the ground's part whatever its spectrum."""
     scatter: float
+    """Ratio of the scatter to that by the stated uncertainties of the samples, as standard deviations."""
 
     @property
     def median_covariance(self) -> Floats:

@@ -127,26 +127,18 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class KnownDrive:
-    """Effect of each of some signals, at unit gain, on the turning points of a run.
-
-    Attributes
-    ----------
-    steps
-        (2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with
-        the half-swing that ends at each turning point, counted from the first one, which has only the part
-        of its own measurement. 0 where `missing`.
-    missing
-        (half-swings + 1,) whether the drive of a half-swing is not known.
-    gains
-        Gains (terms,) in rad/s^2 per unit of the signals: the start of a search, or its result.
-    covariance
-        Covariance (terms, terms) of fitted gains; None before a fit.
-    """
+    """Effect of each of some signals, at unit gain, on the turning points of a run."""
 
     steps: Floats
+    """(2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with the
+    half-swing that ends at each turning point, counted from the first one, which has only the part of its own
+    measurement. 0 where `missing`."""
     missing: Flags
+    """(half-swings + 1,) whether the drive of a half-swing is not known."""
     gains: Floats
+    """Gains (terms,) in rad/s^2 per unit of the signals: the start of a search, or its result."""
     covariance: Floats | None = None
+    """Covariance (terms, terms) of fitted gains; None before a fit."""
 
     @property
     def terms(self) -> int:

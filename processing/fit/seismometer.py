@@ -83,46 +83,34 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerUse:
-    """Use of an auxiliary seismometer in the fit of a run.
-
-    Attributes
-    ----------
-    source
-        Name of its file, or its topic in the record.
-    understood
-        Remarks on what was read of the file, and what was left out.
-    verdict, reason
-        Whether it was used; the reason where it does not cover the run.
-    gain_of_prediction
-        Decrease of -2 ln L of half-cycles with gains fitted to the others.
-    explained
-        Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
-    ground_alone_rad_per_s2_rthz, ground_left_rad_per_s2_rthz
-        Densities of the drive without the seismometer, and of the remainder.
-    responses
-        Response to each component in use.
-    missing_half_cycles
-        Half-swings that the seismometer does not cover; the drive is unknown in them.
-    delay_s, clock_drift
-        Correction of the seismometer's times, in s and in s per second from the middle of the run, as the run
-        shows it; it was applied if it exceeds four standard uncertainties.
-    saved
-        Factor by which the uncertainty of each parameter is smaller.
-    """
+    """Use of an auxiliary seismometer in the fit of a run."""
 
     source: str = ""
+    """Name of its file, or its topic in the record."""
     understood: tuple[str, ...] = ()
+    """Remarks on what was read of the file, and what was left out."""
     verdict: SeismometerVerdict = SeismometerVerdict.NO_GAIN
     reason: str = ""
+    """Why it does not cover the run, where it does not."""
     gain_of_prediction: Annotated[float, Quantity("", "gain of prediction")] = nan
+    """Decrease of -2 ln L of half-cycles with gains fitted to the others."""
     explained: Annotated[float, Quantity("", "share of the drive explained", "%")] = nan
+    """Share of the drive's power at the pendulum's frequency that it explains: the squared coherence."""
     ground_alone_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    """Density of the drive without the seismometer."""
     ground_left_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    """Density of the drive that it does not explain."""
     responses: tuple[Response, ...] = ()
+    """Response to each component in use."""
     missing_half_cycles: int = 0
+    """Half-swings that the seismometer does not cover; the drive is unknown in them."""
     delay_s: Estimate = NOT_DETERMINED
+    """Correction of the seismometer's times as the run shows it; it was applied if it exceeds four standard
+    uncertainties."""
     clock_drift: Estimate = NOT_DETERMINED
+    """The same in s per second from the middle of the run."""
     saved: Mapping[str, float] = field(default_factory=dict)
+    """Factor by which the uncertainty of each parameter is smaller."""
 
     @property
     def used(self) -> bool:

@@ -26,51 +26,34 @@ from processing.swing import TurningPoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """One or more coordinates that move the residuals of a fit in addition to the law's.
-
-    Attributes
-    ----------
-    name
-        Name of the term's line in the budget.
-    columns
-        Derivatives (rows, m) of the residuals by the coordinates.
-    prior
-        Prior standard uncertainty of each coordinate about zero; infinite where nothing is known.
-    report
-        Use by a result: its values `move` to those with the term, or they stay and their uncertainties
-        `cover` the term.
-    """
+    """One or more coordinates that move the residuals of a fit in addition to the law's."""
 
     name: str
+    """Name of the term's line in the budget."""
     columns: Floats = field(repr=False)
+    """Derivatives (rows, m) of the residuals by the coordinates."""
     prior: float | Floats = np.inf
+    """Prior standard uncertainty of each coordinate about zero; infinite where nothing is known."""
     report: str = "move"
+    """Use by a result: its values `move` to those with the term, or they stay and their uncertainties `cover`
+    the term."""
 
 
 class TermSolution(NamedTuple):
-    """Coordinates of terms, in the order in which they were given, and their effect on the law's.
-
-    Attributes
-    ----------
-    values, covariance
-        Values (m,) and covariance (m, m) of the coordinates; infinite where neither data nor a prior
-        determine one.
-    root
-        Root (m, k) of the covariance.
-    law_shift
-        Change (n,) of the law's coordinates by the terms.
-    law_by_terms
-        Derivatives (n, m) of the fitted law's coordinates by those of the terms.
-    residuals
-        Residuals that neither law nor terms explain.
-    """
+    """Coordinates of terms, in the order in which they were given, and their effect on the law's."""
 
     values: Floats
+    """Coordinates (m,)."""
     covariance: Floats
+    """Their covariance (m, m); infinite where neither data nor a prior determine one."""
     root: Floats
+    """Root (m, k) of the covariance."""
     law_shift: Floats
+    """Change (n,) of the law's coordinates by the terms."""
     law_by_terms: Floats
+    """Derivatives (n, m) of the fitted law's coordinates by those of the terms."""
     residuals: Floats
+    """Residuals that neither law nor terms explain."""
 
     def scatter(self, dof: int) -> float:
         """Standard deviation of the residuals, at least the stated one, 1."""
@@ -161,25 +144,18 @@ class RestrictedLikelihood:
 
 
 class DrivenRows(NamedTuple):
-    """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence.
-
-    They are NaN where the filter has no value.
-
-    Attributes
-    ----------
-    residuals, jacobian, by_errors
-        Residuals (rows,), and their derivatives with respect to the law's coordinates and errors of the law.
-    log_det
-        ln det of the covariance of the rows of the turning points.
-    points
-        Number of rows of turning points.
-    """
+    """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence."""
 
     residuals: Floats
+    """(rows,); NaN where the filter has no value."""
     jacobian: Floats
+    """(rows, n) by the law's coordinates."""
     by_errors: Floats
+    """(rows, m) by errors of the law."""
     log_det: float
+    """ln det of the covariance of the rows of the turning points."""
     points: int
+    """Number of rows of turning points."""
 
     @classmethod
     def of(
@@ -225,27 +201,20 @@ class DrivenRows(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearisedFit:
-    """An exact fit that has ended: its residuals in units of their scatter, and their derivatives.
-
-    Attributes
-    ----------
-    fit, model, coordinates
-        The fit, the model with its noise, and the solver's coordinates at which it ended.
-    scale
-        The factor by which the turning points scatter more than stated.
-    residuals, jacobian
-        Of turning points and evidence, (rows,) and (rows, n).
-    to_physical
-        Derivatives of the fit's values with respect to the coordinates.
-    """
+    """An exact fit that has ended: its residuals in units of their scatter, and their derivatives."""
 
     fit: FitResult
     model: ExactModel
+    """The model with the fit's noise."""
     coordinates: Floats
+    """The solver's coordinates at which the fit ended."""
     scale: float
+    """The factor by which the turning points scatter more than stated."""
     residuals: Floats
+    """Of turning points, then of the evidence (rows,)."""
     jacobian: Floats
     to_physical: Floats
+    """Derivatives of the fit's values with respect to the coordinates."""
 
     @classmethod
     def of(cls, points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> "LinearisedFit":

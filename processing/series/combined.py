@@ -25,31 +25,22 @@ _MAX_LIMIT_DISTANCE = 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CombinedValue:
-    """One parameter over a series of runs.
-
-    Attributes
-    ----------
-    value, standard_uncertainty
-        Mean weighted by within-run and between-run variance, and its standard uncertainty, which contains
-        both and is at least `within_runs`.
-    within_runs
-        Standard uncertainty of the mean from the runs' own uncertainties only.
-    between_runs
-        Standard deviation between runs in excess of their own uncertainties; 0 if there is none.
-    p_homogeneous
-        Probability of a scatter at least as large if only the runs' own uncertainties contribute.
-    by_air
-        Part of `standard_uncertainty`, with its sign, by the prior of the air. All runs share it, so that
-        more runs do not reduce it.
-    """
+    """One parameter over a series of runs."""
 
     value: Annotated[float, PART]
+    """Mean weighted by within-run and between-run variance."""
     standard_uncertainty: Annotated[float, PART]
+    """It contains the scatter within and between runs, and is at least `within_runs`."""
     degrees_of_freedom: int = 0
     within_runs: Annotated[float, PART] = nan
+    """Standard uncertainty of the mean from the runs' own uncertainties only."""
     between_runs: Annotated[float, PART] = nan
+    """Standard deviation between runs in excess of their own uncertainties; 0 if there is none."""
     p_homogeneous: float = nan
+    """Probability of a scatter at least as large if only the runs' own uncertainties contribute."""
     by_air: Annotated[float, PART] = 0.0
+    """Part of `standard_uncertainty`, with its sign, by the prior of the air. All runs share it, so that more
+    runs do not reduce it."""
     runs: Annotated[tuple[Estimate, ...], PART] = ()
 
     @property

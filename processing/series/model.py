@@ -39,32 +39,22 @@ _BAD_FACTORS = (3.0, 10.0, 30.0)
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesModel:
-    """Assumptions about a series.
-
-    Attributes
-    ----------
-    names
-        The coordinates that are modelled; others of the runs are left out.
-    sizes
-        By coordinate, the prior standard deviation of an effect over the series (normal about zero) and of
-        the scatter between runs (half-normal).
-    levels
-        Priors of levels by coordinate, where something is known.
-    scatter
-        The coordinates that scatter between runs; None: all.
-    contacts_alike
-        Whether contacts are of one kind and scatter about its mean; else their levels are unrelated.
-    bad_run_chance
-        Prior probability of a run to be bad.
-    """
+    """Assumptions about a series."""
 
     names: tuple[str, ...]
+    """The coordinates that are modelled; others of the runs are left out."""
     effects: tuple[Effect, ...] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
+    """By coordinate, the prior standard deviation of an effect over the series (normal about zero) and of the
+    scatter between runs (half-normal)."""
     levels: Mapping[str, Estimate] = field(default_factory=dict)
+    """Priors of levels by coordinate, where something is known."""
     scatter: tuple[str, ...] | None = None
+    """The coordinates that scatter between runs; None: all."""
     contacts_alike: bool = False
+    """Whether contacts are of one kind and scatter about its mean; else their levels are unrelated."""
     bad_run_chance: float = 0.02
+    """Prior probability of a run to be bad."""
 
     def size(self, name: str) -> float:
         """The usual size of a coordinate; that of friction is b's if it is not stated."""

@@ -84,35 +84,26 @@ class Bound(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CompressedRun:
-    """The likelihood of one run, in coordinates, with its covariates.
-
-    Attributes
-    ----------
-    names, values, covariance
-        Maximum of the likelihood and the inverse of its curvature, by the run's own data alone.
-    shared
-        Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
-        They are no part of `covariance`.
-    bounds
-        Values that the run only bounds, by name; they are none of `names`.
-    covariates
-        Conditions of the run by name; unknown ones are left out.
-    by_growth
-        Changes of the values by a relative growth of the friction over the run by 1; None: not known.
-    duration_s
-        Time from the first turning point to the last.
-    """
+    """The likelihood of one run, in coordinates, with its covariates."""
 
     label: str
     contact: str
     names: tuple[str, ...]
     values: Floats
+    """Maximum of the likelihood by the run's own data alone."""
     covariance: Floats
+    """Inverse of its curvature there."""
     shared: Mapping[str, Floats] = field(default_factory=dict)
+    """Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
+    They are no part of `covariance`."""
     bounds: Mapping[str, Bound] = field(default_factory=dict)
+    """Values that the run only bounds, by name; they are none of `names`."""
     covariates: Mapping[str, float] = field(default_factory=dict)
+    """Conditions of the run by name; unknown ones are left out."""
     by_growth: Floats | None = None
+    """Changes of the values by a relative growth of the friction over the run by 1; None: not known."""
     duration_s: float = 0.0
+    """Time from the first turning point to the last."""
 
     def __post_init__(self) -> None:
         size = len(self.names)
