@@ -51,11 +51,8 @@ def _move(
     end: Floats,
     speed: Floats,
 ) -> float:
-    """Replace speeds (n, nodes) and last amplitudes `end` (n, 1) of half-swings by what the moments leave.
-
-    Returns the largest relative change of `end`; infinite where a pendulum is held. `whole` and `part` are
-    the cells of the nodes, and their first halves, over half of a swing.
-    """
+    """Replace speeds (n, nodes) and last amplitudes `end` (n, 1) of half-swings by what the moments leave;
+    return the largest relative change of `end`, infinite where a pendulum is held."""
     work = np.empty(len(whole))
     largest = 0.0
     for i in range(len(phi)):
@@ -169,10 +166,8 @@ def law_harmonics(
 
 
 def _interpolate(swing: FreeSwing, phases: Floats) -> Floats:
-    """Deflections of every swing at its own rising phases (amplitudes, m), by Hermite's cubics.
-
-    All swings at once: as splines of scipy they cost as much as the swings themselves.
-    """
+    """Deflections of every swing at its own rising phases (amplitudes, m), by Hermite's cubics: as splines of
+    scipy they cost as much as the swings themselves."""
     width = np.diff(swing.phase, axis=1)
     rise = np.diff(swing.phi_rad, axis=1) / width
     begin = swing.slope_rad[:, :-1]

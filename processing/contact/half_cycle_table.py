@@ -1,9 +1,8 @@
 """Half-cycles of any law as a table over ln A, and free decays by iteration of that table.
 
-A law without memory (`memoryless`) or one that depends on the last reversal (`hysteresis`) gives for each
-amplitude A the next amplitude and the duration of the half-cycle from it (the half-cycle map), with their
-derivatives with respect to the map's parameters. A free decay goes through these half-cycles from its first
-amplitude; where the ground moves the pendulum, the filter goes from any amplitude to the next.
+A law gives for each amplitude the next amplitude and the duration of the half-cycle from it (the half-cycle
+map), with their derivatives with respect to the map's parameters. A free decay goes through these half-cycles
+from its first amplitude; where the ground moves the pendulum, the filter goes from any amplitude to the next.
 
 Angles are in units of a reference amplitude, times in units of T0. The last of the map's parameters is the
 first amplitude, on which no half-cycle depends (`Coordinates.map_parameters`).

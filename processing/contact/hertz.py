@@ -39,19 +39,15 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
 def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -> Material:
     """A material by its name; `others`, defined by the user, take precedence over the paper's.
 
-    Raises
-    ------
-    ConfigurationError
-        Unknown name; the message lists the known ones.
+    Raises ConfigurationError for an unknown name.
     """
-    if name in others:
-        return others[name]
-    if name in MATERIALS:
-        return MATERIALS[name]
-    known = ", ".join(sorted({*others, *MATERIALS}))
-    raise ConfigurationError(
-        f"unknown material {name!r}: take one of {known}, or define it with its elastic constants"
-    )
+    known = {**MATERIALS, **others}
+    if name not in known:
+        raise ConfigurationError(
+            f"unknown material {name!r}: take one of {', '.join(sorted(known))}, or define it with its "
+            "elastic constants"
+        )
+    return known[name]
 
 
 def contact_radius(force_n: float, ball_radius_m: float, ball: Material, flat: Material) -> float:

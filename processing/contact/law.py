@@ -175,12 +175,6 @@ class Law:
         return (*self.names(drag=drag), AMPLITUDE.key, TIME.key)
 
     def parameter(self, key: str) -> Parameter:
-        """Any parameter of a fit of this law by its key.
-
-        Raises
-        ------
-        KeyError
-            The law has no such parameter.
-        """
+        """Any parameter of a fit of this law by its key; raises KeyError where there is none."""
         known = (*self.parameters, DRAG, AMPLITUDE, TIME)
         return {parameter.key: parameter for parameter in known}[key]

@@ -128,13 +128,7 @@ def _by_quadrature(
 
 
 def _starts_of(moment: StatedMoment) -> dict[str, float]:
-    """The parameters of a stated moment with their start values, the defaults in its signature.
-
-    Raises
-    ------
-    DataError
-        A parameter without a number as its default.
-    """
+    """The parameters of a stated moment with their start values, the defaults in its signature."""
     _, *parameters = inspect.signature(moment).parameters.values()
     name = getattr(moment, "__name__", "law")
     for parameter in parameters:

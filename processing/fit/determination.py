@@ -55,10 +55,7 @@ class Determination(NamedTuple):
 
 
 class _ConditionalModel:
-    """The exact model with one physical parameter held fixed, and therefore one coordinate less.
-
-    `guess` is the missing coordinate at the last values, from which the search for the next one begins.
-    """
+    """The exact model with one physical parameter held fixed, and therefore one coordinate less."""
 
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
@@ -67,7 +64,7 @@ class _ConditionalModel:
         self._is_logarithmic = model.law.parameter(name).logarithmic and is_positive
         self.missing, self._keeps_sign = model.parametrisation.held(name)
         self.free = np.delete(np.arange(len(model.lower)), self.missing)
-        self.guess = float(best[self.missing])
+        self.guess = float(best[self.missing])  # at the last values, where the next search begins
 
     def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
         """All coordinates, the missing one by Newton's method, and its derivatives by the others."""
@@ -345,10 +342,8 @@ def _with_other_valleys(
     profiles: Iterable[Profile],
     model: ExactModel,
 ) -> Profile:
-    """The profile with limits beyond all values that the profiles of other parameters allow.
-
-    Chi2 may have a second minimum beyond a rise, which a search along another parameter goes around.
-    """
+    """The profile with limits beyond all values that the other parameters' profiles allow: chi2 may have a
+    second minimum beyond a rise, which a search along another parameter goes around."""
     row = result.names.index(name)
     allowed = np.concatenate([other.allowed for other in profiles])
     values = np.array([model.parametrisation.physical(coordinates)[0][row] for coordinates in allowed])

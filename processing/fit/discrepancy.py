@@ -284,8 +284,7 @@ class _ClearestChange(NamedTuple):
 class _ChangeScan:
     """Whitened residuals for one drive, and their derivatives with respect to a change at each half-cycle.
 
-    The derivatives are computed anew for each search, some half-cycles at a time: all of a long decay's would
-    fill the memory.
+    These are computed anew for each search, some half-cycles at a time: all would fill the memory.
     """
 
     def __init__(self, linearised: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:

@@ -121,11 +121,8 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult
 
 
 def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Drag | None:
-    """The verdict on a decay that cannot tell a drag from friction at all; None where fits must decide.
-
-    By one linear step from the fit without a drag: F is likely by chance, and with a drag b is as uncertain
-    as it is large.
-    """
+    """The verdict where one linear step from the fit without a drag leaves b as uncertain as it is large,
+    with an F that is likely by chance: the decay cannot tell a drag from friction. None elsewhere."""
     from scipy.special import fdtrc
 
     model = ExactModel(points.first(fit.half_cycles), pendulum, law=fit.law, drag=True, evidence=fit.evidence)
@@ -274,11 +271,8 @@ class _RunModel(NamedTuple):
 
 
 class _SharedParameters:
-    """The parameters of all runs in the solver's units, in which each is of the order of 1.
-
-    First those of the contact (`_COMMON`, ln b and gamma at the reference amplitude), d0 and k; then for each
-    run T0, first amplitude and first time.
-    """
+    """The parameters of all runs in units in which each is of the order of 1: those of the contact, `_COMMON`
+    (ln b and gamma at the reference amplitude), d0 and k, then those of each run, `_OWN`."""
 
     def __init__(self, runs: Sequence[_RunModel]) -> None:
         self.runs, self.count = runs, _AIR + 2

@@ -1,23 +1,10 @@
 """Effects on a fit that has ended, each a term: drifts, a boundary layer's drag, errors of the sensor.
 
 A friction that ages evenly is not seen in one decay: amplitude and time fall together, and an exponent takes
-up the effect of the age. The effect of such drifts on the parameters follows from the map, for a budget.
-
-A boundary layer's drag, with the 3/2 power of the speed, takes ``I A^1.5`` from the amplitude in a
-half-swing, I the integral of ``sin^2.5``, and makes a small third harmonic within the swing, which the exact
-path of the moment gives.
-
-A fixed-pattern position error of the sensor moves the amplitudes of all half-cycles that pass it. Residuals
-of whole cycles show it, except for the part that looks like a motion (`processing.position_map`). Of that
-part, the fitted law shows the share that no decay could produce.
-
-Rows that are exposed in turn delay a spot by its place. Turning points lie on rows above and below that of
-rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
-pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
-Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
-second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. A
-pendulum that rests beside the middle of its contact has another second harmonic, by which its times alternate
-more, the smaller the amplitude.
+up the effect of the age. Rows that are exposed in turn delay a spot by its place: times of turning points on
+either side alternate in proportion to the amplitude, which no motion of the pendulum does. Those of a
+pendulum that rests beside the middle of its contact alternate more, the smaller the amplitude. Either
+alternation is taken off the times.
 """
 
 from collections.abc import Callable, Mapping
@@ -121,7 +108,8 @@ _BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
 def boundary_layer_drag(linearised: LinearisedFit) -> BoundaryLayerDrag:
     """A boundary layer's drag in addition to the linear drag of an exact fit, by one linear step.
 
-    Raises DataError where the law predicts no waveform.
+    It takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of ``sin^2.5``, and makes a small
+    third harmonic within the swing. Raises DataError where the law predicts no waveform.
     """
     from scipy.special import fdtrc
 
@@ -199,7 +187,8 @@ class PositionErrorFit(NamedTuple):
 def fit_position_errors(linearised: LinearisedFit, errors: Floats) -> PositionErrorFit:
     """Errors and parameters that together describe the turning points best, near an exact fit.
 
-    `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
+    `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1: the
+    part of a position error that looks like a motion, of which the law shows what no decay could produce.
     """
     errors = errors[: len(linearised.points)]
     felt = np.max(np.abs(errors) / linearised.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
@@ -360,9 +349,8 @@ def _alternation(solution: TermSolution, dof: int) -> Alternation:
 def _late_per_rest(linearised: LinearisedFit) -> Floats:
     """Delays (points,) of measured turning points by the rest position, in s/rad; they alternate.
 
-    A friction M(|x + r|) is larger by r M'(|x|) on one side than on the other. Of b |x|^p that makes the
-    second harmonic ``(8/3 pi) p b r A^(p-1) / (p + 1) sin(2 w t)``. Half-cycles that were fitted by a swing
-    without this harmonic are late by ``4/(3 pi)`` of its shift of the turning points themselves.
+    A friction b |x + r|^p makes the second harmonic ``(8/3 pi) p b r A^(p-1) / (p + 1) sin(2 w t)``. Fits of
+    a swing without it are late by ``4/(3 pi)`` of its shift of the turning points themselves.
     """
     amplitude, loss = linearised.model.losses(linearised.coordinates)
     power, of_contact = _contact_power(linearised, amplitude, loss)

@@ -117,8 +117,7 @@ def _evidence_is_linear(model: ExactModel, coordinates: Floats) -> bool:
 def _descending_share(model: ExactModel, start: Floats, end: Floats) -> Floats:
     """The end of a step, or of its largest share that lowers the sum of squares with the evidence itself.
 
-    The step was found with linear evidence, which far from `start` may be wrong by any factor. It is taken
-    whole where no share of it descends, as in a bent valley out of which every straight way leads.
+    It is taken whole where no share descends, as in a bent valley out of which every straight way leads.
     """
     at_start = _sum_of_squares(model, start)
     for share in (0.5**halvings for halvings in range(_MAX_HALVINGS)):

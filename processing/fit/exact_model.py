@@ -195,10 +195,7 @@ class ExactModel:
         return model
 
     def linearised_at(self, coordinates: Floats) -> "ExactModel":
-        """The same model with the residuals of the evidence linearised at these coordinates.
-
-        Raises DataError if the law predicts no waveform there.
-        """
+        """The same model with the evidence linearised here; raises DataError if the law has no waveform."""
         model = copy(self)
         residuals = self.evidence_residuals(coordinates)
         jacobian = np.zeros((len(residuals), len(coordinates)))
@@ -216,11 +213,8 @@ class ExactModel:
         return model
 
     def _evidence_slope(self, coordinates: Floats, residuals: Floats, step: Floats) -> Floats:
-        """Change of the evidence's residuals per length of a step, which is shortened where it is too long.
-
-        On ground that shakes, the evidence may know a coordinate far better than the points do: a step of
-        their uncertainty would leave the range in which the evidence is linear, or the pendulum swings.
-        """
+        """Change of the evidence's residuals per length of a step, which is shortened where the evidence
+        knows the coordinate far better than the points do, whose uncertainty the step is."""
         for share in _SHORTENING ** np.arange(_MAX_SHORTENINGS):
             for factor in (share, -share):
                 # at the end of a parameter's range there is a value on one side alone
@@ -241,10 +235,8 @@ class ExactModel:
     def evidence_residuals(
         self, coordinates: Floats, further: Mapping[str, float] = MappingProxyType({})
     ) -> Floats:
-        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform.
-
-        Raises DataError if the law predicts no waveform.
-        """
+        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform;
+        raises DataError if the law predicts no waveform."""
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
         return self.evidence.residuals(self.law, {**self.values(coordinates), **further}, self.pendulum)
@@ -319,10 +311,7 @@ class ExactModel:
 
     def losses(self, coordinates: Floats) -> tuple[Floats, Floats]:
         """Falling amplitudes through the decay, and the loss in a half-swing from each, in units of the
-        reference.
-
-        Raises DataError where the law's pendulum stops earlier.
-        """
+        reference; raises DataError where the law's pendulum stops earlier."""
         table = self._swings.through_the_decay(self.parametrisation.map_parameters(coordinates)[0])
         if table is None:
             raise DataError("the pendulum would not swing for as long as it did")

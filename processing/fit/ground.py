@@ -12,7 +12,7 @@ the turning point do not enter wholly, those in the quarter after it enter alrea
 kick at the phase theta_0 by sin(theta - theta_0). For a least-squares fit of cosine and sine over the
 half-cycle the error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step,
 and the covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after.
-The effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
+The effect on the amplitude is small and left out.
 """
 
 from collections.abc import Mapping

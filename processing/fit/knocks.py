@@ -6,11 +6,11 @@ knock has a drive of its own, so large that the turning points before it tell no
 but as much as ever of the law's parameters.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
-from math import hypot, log, pi
-from typing import NamedTuple
+from functools import partial
+from math import hypot, inf, log, pi
 
 import numpy as np
 
@@ -51,51 +51,55 @@ def fit_with_knocks(
     A knock is sought at the worst outlier of a fit, one at a time: where the law has smooth errors, there is
     none. Knocks of the fit `near` are taken over if these points show them too: what shook the spot alone
     disturbs a first measurement more than the second. All knocks stand in the result's `changes`. The
-    prior of the drag is left out, with a warning, where the data contradict it (see `_contradicted_drag`).
+    prior of the drag is left out, with a warning, where the data contradict it (see `_contradicting_fit`).
     """
     check_turning_points(points)
+    by_data, first_drag_s = replace(evidence, drag_s=None), -inf
     start: Floats | None = None
     if near is None:
         # the first start costs as much as half of a fit, and is the same whether the drag has a prior or not
-        by_data = replace(evidence, drag_s=None)
-        with suppress(DataError):
-            start = next(starts_of(ExactModel(points, pendulum, drag=drag, evidence=by_data)), None)
-    contradicted = _contradicted_drag(
-        points, pendulum, evidence, drag=drag, loss=loss, averaged=averaged, near=near, start=start
-    )
-    if contradicted is not None:
-        evidence, near = replace(evidence, drag_s=None), contradicted.fit
+        with suppress(DataError, StopIteration):
+            model = ExactModel(points, pendulum, drag=drag, evidence=by_data)
+            start = next(starts_of(model))
+            first_drag_s = model.values(start).get(DRAG.key, -inf)
+    elif near.has_drag:
+        first_drag_s = near.estimate(DRAG.key).value
+    fitted = partial(fit_exact, points, pendulum, drag=drag, loss=loss, averaged=averaged, start=start)
+    contradiction = []
+    if drag and evidence.drag_s is not None:
+        alone = _contradicting_fit(fitted, by_data, evidence.drag_s, near, first_drag_s)
+        if alone is not None:
+            known, measured = (
+                with_uncertainty(*drag_s) for drag_s in (evidence.drag_s, alone.estimate(DRAG.key))
+            )
+            contradiction.append(
+                f"the data contradict what is known of the drag, {known} s: alone they give {measured} s, "
+                "and are fitted alone; state fit.drag = 'open', or look for what else takes energy as a drag "
+                "does"
+            )
+            evidence, near = by_data, alone
 
-    def fitted(knocks: Iterable[int], near: FitResult | None) -> FitResult:
-        return fit_exact(
-            points,
-            pendulum,
-            drag=drag,
-            evidence=replace(evidence, knocks=tuple(sorted(knocks))),
-            loss=loss,
-            averaged=averaged,
-            near=near,
-            start=start,
-        )
+    def with_knocks(knocks: Iterable[int], near: FitResult | None) -> FitResult:
+        return fitted(evidence=replace(evidence, knocks=tuple(sorted(knocks))), near=near)
 
-    known, changes = ((), ()) if near is None else (near.evidence.knocks, near.changes)
+    known_knocks, changes = ((), ()) if near is None else (near.evidence.knocks, near.changes)
     gains = {
         change.half_cycle: change.gain
         for change in changes
-        if change.kind is ChangeKind.KNOCK and change.half_cycle in known
+        if change.kind is ChangeKind.KNOCK and change.half_cycle in known_knocks
     }
     min_gain = CLEAR_CHANGE_GAIN + 2 * log(len(points))
-    fit = fitted(gains, near)
+    fit = with_knocks(gains, near)
     for knock in tuple(gains):
         if not _gain(points, pendulum, fit, knock) > min_gain:
             del gains[knock]
-            fit = fitted(gains, fit)
+            fit = with_knocks(gains, fit)
     while loss == "linear" and fit.outliers and len(gains) < _MAX_KNOCKS:
         worst = _worst_half_cycle(points, pendulum, fit)
         if worst in gains:
             break
         try:
-            with_worst = fitted({*gains, worst}, fit)
+            with_worst = with_knocks({*gains, worst}, fit)
         except DataError:
             break
         assert fit.ground is not None
@@ -105,9 +109,8 @@ def fit_with_knocks(
             break
         fit, gains[worst] = with_worst, gain
     changes = tuple(_change(points, pendulum, fit, knock, gains[knock]) for knock in sorted(gains))
-    warnings = [f"{change.text}; the fit begins anew after it" for change in changes]
-    warnings += [] if contradicted is None else [contradicted.text]
-    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
+    warnings = (f"{change.text}; the fit begins anew after it" for change in changes)
+    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings, *contradiction))
 
 
 def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> int:
@@ -118,7 +121,7 @@ def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall, fit: FitR
 
 
 def _gain(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, knock: int) -> float:
-    """Gain in -2 ln L by one of the knocks of a fit, by the model that is linear about this fit."""
+    """Gain in -2 ln L by one of a fit's knocks, by the model that is linear about this fit."""
     assert fit.ground is not None
     model, coordinates = ExactModel.of(points, pendulum, _without(fit, knock))
     search = NoiseSearch(model, coordinates, fit.loss, Noise(averaged=fit.ground.noise.averaged))
@@ -152,69 +155,27 @@ def _change(
     )
 
 
-class _ContradictedDrag(NamedTuple):
-    """Prior of the drag, and the fit by the data alone that contradicts it."""
-
-    known_s: Estimate
-    fit: FitResult
-
-    @property
-    def text(self) -> str:
-        """Warning in one line."""
-        known, measured = (
-            with_uncertainty(*drag_s) for drag_s in (self.known_s, self.fit.estimate(DRAG.key))
-        )
-        return (
-            f"the data contradict what is known of the drag, {known} s: alone they give {measured} s, and "
-            "are fitted alone; state fit.drag = 'open', or look for what else takes energy as a drag does"
-        )
-
-
-def _contradicted_drag(
-    points: TurningPoints,
-    pendulum: PendulumOnBall,
-    evidence: Evidence,
-    *,
-    drag: bool,
-    loss: Loss,
-    averaged: bool,
+def _contradicting_fit(
+    fitted: Callable[..., FitResult],
+    by_data: Evidence,
+    known_s: Estimate,
     near: FitResult | None,
-    start: Floats | None,
-) -> _ContradictedDrag | None:
+    first_drag_s: float,
+) -> FitResult | None:
     """The fit by the data alone where they show a far larger drag than is known; None elsewhere.
 
     Held near a drag that is far too small, a fit takes the rest of the loss for a drive of the ground, or
     does not converge. A smaller drag than is known is no contradiction: a wrong law produces it as well.
-    `near` is an earlier fit of nearly the same points; without it the `start` of a search tells whether a fit
-    by the data alone is worth its time.
+    `first_drag_s`, of an earlier fit or a start, tells whether a fit by the data alone is worth its time.
     """
-    known_s = evidence.drag_s
-    if known_s is None or not drag:
+    if near is not None and near.evidence.drag_s is None:
+        return near
+    if first_drag_s - known_s.value < _CONTRADICTS_U * known_s.standard_uncertainty:
         return None
-    evidence = replace(evidence, drag_s=None)
     try:
-        if near is not None and near.evidence.drag_s is None:
-            return _ContradictedDrag(known_s, near)
-        if near is not None:
-            drag_s = near.estimate(DRAG.key).value
-        elif start is not None:
-            drag_s = ExactModel(points, pendulum, drag=True, evidence=evidence).values(start)[DRAG.key]
-        else:
-            return None
-        if drag_s - known_s.value < _CONTRADICTS_U * known_s.standard_uncertainty:
-            return None
-        fit = fit_exact(
-            points,
-            pendulum,
-            drag=True,
-            evidence=evidence,
-            loss=loss,
-            averaged=averaged,
-            near=near,
-            start=start,
-        )
+        fit = fitted(evidence=by_data, near=near)
     except DataError:
         return None
     value, u = fit.estimate(DRAG.key)
     contradicts = value - known_s.value > _CONTRADICTS_U * hypot(u, known_s.standard_uncertainty)
-    return _ContradictedDrag(known_s, fit) if contradicts else None
+    return fit if contradicts else None

@@ -21,15 +21,10 @@ delay of a seismometer would be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
-Friction that grows nearly in proportion to the deflection, as that of Eq. 1 with p near 1, acts as a softer
-spring before the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a
-half-swing the two quarters have the frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude
-then takes the frequency of the second quarter, the factor s/w^2 of the delay the product of the second's and
-the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
-
-The response of a seismometer is not known. Near the pendulum's frequency two gains describe it: that of the
-record, and that of the record with every phase turned by a quarter. Two more are needed where gain or phase
-change within the band over which a half-swing responds to the ground.
+Friction that grows nearly in proportion to the deflection acts as a softer spring before the zero crossing
+and a stiffer one after it: with a relative loss e of amplitude in a half-swing the quarters have the
+frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude takes that of the second quarter, the
+factor s/w^2 of the delay the product of the second's and the quarter's own.
 """
 
 from collections.abc import Sequence
@@ -152,10 +147,8 @@ class KnownDrive:
         return replace(self, gains=gains, covariance=covariance)
 
     def unknown_variance(self, gains: Floats) -> Floats:
-        """Variance of each half-swing's unknown step (half-swings + 1,), in the squared unit of `steps`.
-
-        It is the mean square of the known steps, and 0 where the drive is known.
-        """
+        """Variance of each half-swing's unknown step (half-swings + 1,), in the squared unit of `steps`: the
+        mean square of the known ones, and 0 where the drive is known."""
         known_steps = self.steps[0][~self.missing] @ gains
         mean = float(np.mean(known_steps**2)) if len(known_steps) else 0.0
         return np.where(self.missing, mean, 0.0)
@@ -324,7 +317,10 @@ class Seismogram:
 
 
 SIGNALS = 4
-"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency."""
+"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency.
+
+The response of a seismometer is not known. Near the pendulum's frequency gain and quadrature describe it;
+slopes are needed where they change within the band over which a half-swing responds to the ground."""
 PAIR, SLOPES = (0, 1), (2, 3)
 """Gain and quadrature, and their slopes, among the signals of a component."""
 
@@ -335,10 +331,7 @@ def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
 
 
 def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
-    """Every component's signals.
-
-    Raises DataError for samples that are too few or too far apart.
-    """
+    """Every component's signals; raises DataError for samples that are too few or too far apart."""
     time, value, step_s = _even(seismometer, period_s)
     good = np.all(np.isfinite(value), axis=1)
     if np.count_nonzero(good) * step_s < 4 * period_s:

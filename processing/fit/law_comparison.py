@@ -128,11 +128,8 @@ def compare_laws(
 def _fit(
     points: TurningPoints, pendulum: PendulumOnBall, law: Law, drag: bool, evidence: Evidence
 ) -> FitResult:
-    """The exact fit of a law, searched from its fit to the turning points alone, too.
-
-    Where the waveform contradicts a law, its own start values may lie in the valley of another minimum, at
-    which the law would seem much worse than it is.
-    """
+    """The exact fit of a law, also searched from its fit to the turning points alone: where the waveform
+    contradicts a law, its own start values may lie in the valley of a far worse minimum."""
     near: FitResult | None = None
     if evidence.waveform is not None:
         with suppress(DataError):
@@ -204,10 +201,7 @@ class ModelFreeFit:
         return FreeMoments(phi_rad, *friction, *elastic, unit_rad)
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
-        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
-
-        The uncertainties are 0.
-        """
+        """Moments of splines with the turning points of a fitted law; their uncertainties are 0."""
         # at the values of a law that does not fit, its waveform may have no derivatives
         of_points = replace(fit, evidence=replace(fit.evidence, waveform=None))
         law, coordinates = ExactModel.of(self.points, self.pendulum, of_points)
@@ -229,10 +223,8 @@ class ModelFreeFit:
 
 
 def _drag_ratio(fit: FitResult, period_s: float) -> float:
-    """Ratio of a drag in the splines' terms to the same drag in a law's.
-
-    A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
-    """
+    """Ratio of a drag in the splines' terms to the same drag in a law's: it is stated over the stiffness,
+    which the splines take as gravity's alone at the period `period_s`."""
     return (period_s / fit.estimate("period0_s").value) ** 2
 
 

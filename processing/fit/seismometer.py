@@ -343,10 +343,8 @@ class _Search:
     def _gain(
         self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int], further: Sequence[int]
     ) -> float:
-        """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks.
-
-        -inf where a residual or its derivative is not finite.
-        """
+        """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks;
+        -inf where a residual or its derivative is not finite."""
         drive = self._drive(fit, drives, [*chosen, *further])
         residuals, by_gains, by_law = self._residuals(fit, drive)
         candidates = by_gains[:, len(chosen) :]
@@ -368,10 +366,8 @@ class _Search:
     ) -> ClockCorrection:
         """Correction of the seismometer's clock by a fit with some signals, with free gain and phase.
 
-        A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes
-        that up; the delay shows in the change of the phase within the band to which a half-swing responds.
-        The weight of a half-cycle's own samples in its equilibrium position, which is known only roughly,
-        has such an effect as well.
+        A delay shows in the change of the phase within the band to which a half-swing responds. So does the
+        weight of a half-cycle's own samples in its equilibrium position, which is known only roughly.
         """
         drive = self._drive(fit, drives, chosen)
         delay_s = _SHIFT_PERIODS * drives.period_s

@@ -99,11 +99,6 @@ class RestrictedLikelihood:
         Residuals of the law in units of their scatter, and their derivatives with respect to its coordinates.
     groups
         Derivatives (rows, m) of the residuals by the coordinates of each group, for the size 1.
-
-    Attributes
-    ----------
-    law
-        The law's derivatives, factored.
     """
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
@@ -223,13 +218,11 @@ class LinearisedFit:
             raise DataError(f"terms are added to an exact fit, and this one is {fit.method}")
         model, coordinates = ExactModel.of(points, pendulum, fit)
         residuals, jacobian = model(coordinates)
-        scale = model.scale
-        to_physical = model.parametrisation.physical(coordinates)[1]
+        scale, to_physical = model.scale, model.parametrisation.physical(coordinates)[1]
         return cls(fit, model, coordinates, scale, residuals / scale, jacobian / scale, to_physical)
 
     @property
     def points(self) -> TurningPoints:
-        """Turning points of the fit."""
         return self.model.points
 
     @property
@@ -243,25 +236,20 @@ class LinearisedFit:
             assert time_s is not None
             amplitude = np.zeros_like(time_s)
         time_s = np.zeros_like(amplitude) if time_s is None else time_s
-        model, points = self.model, self.points
-        relative = amplitude / model.reference
-        changes = []
-        for amplitude_error, time_error in zip(relative.T, time_s.T, strict=True):
+        model, changes = self.model, []
+        for amplitude_error, time_error in zip(amplitude.T / model.reference, time_s.T, strict=True):
             # a small step, since a filter with a limit is linear only near its values
-            largest_u = max(
-                float(np.max(np.abs(amplitude_error / model.u_amplitude))),
-                float(np.max(np.abs(time_error / points.u_time_s))),
-            )
+            errors_u = amplitude_error / model.u_amplitude, time_error / self.points.u_time_s
+            largest_u = float(np.max(np.abs(errors_u)))
             step = _DERIVATIVE_STEP_U / max(largest_u, 1e-300)
             larger = model.with_larger_measurements(step * amplitude_error, step * time_error)
             changes.append((larger(self.coordinates)[0] / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
 
     def loss_derivatives(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
-        """Derivatives (rows,) of the residuals by the size of a further loss.
+        """Derivatives (rows,) of the residuals by the size of a further loss, a function of the amplitude.
 
-        The loss is a function of the amplitude, both in units of the reference. `waveform` is added
-        to the law's own values for the waveform that belongs to a size of 1.
+        `waveform` is added to the law's values for the waveform that belongs to a size of 1.
         """
         model, coordinates = self.model, self.coordinates
         _, law_loss = model.losses(coordinates)

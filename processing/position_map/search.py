@@ -97,15 +97,10 @@ def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 class Accumulator:
-    """Normal equations summed over cycles, with the parameters of each cycle free.
+    """Normal equations summed over `cycles` so far, with the parameters of each cycle free.
 
     The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
     the large matrix is not computed for every cycle.
-
-    Attributes
-    ----------
-    cycles
-        Number of cycles so far.
     """
 
     def __init__(self, splines: Splines) -> None:

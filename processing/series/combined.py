@@ -182,8 +182,6 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
 
     The covariance of the combined fit has the mean within-run correlations and the combined uncertainties.
     """
-    if len(results) < 2:
-        raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {name: _combined(name, results) for name in names}
     first, places = results[0], [[result.names.index(name) for name in names] for result in results]
@@ -229,12 +227,8 @@ def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
 
 
 def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:
-    """Compare each run with the others, parameter by parameter, with Bonferroni's correction.
-
-    Of two runs it cannot be decided which is wrong, and both are reported. The scatter of the others is used
-    with its few degrees of freedom, unless it agrees with their own uncertainties, which are then used
-    instead.
-    """
+    """Compare each run with the others, parameter by parameter, with Bonferroni's correction; of two runs
+    both are reported. The others' scatter counts, unless it agrees with their own uncertainties."""
     from scipy.special import stdtr
 
     disagreements, count = [], len(results)

@@ -133,11 +133,8 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
 
 
 def _propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    """Start values by Eqs. 5 and 6: for three exponents n that fit the periods best, then without adhesion.
-
-    Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
-    converted to those of the exact map.
-    """
+    """Start values by Eqs. 5 and 6, for three exponents n that fit the periods best, then without adhesion;
+    the rates of Eq. 5, which neglects that adhesion reduces the stiffness, are those of the exact map."""
     decay, proposals = start.decay, []
     for period in [*start.periods[:3], PeriodStart(start.mean_period_s, 0.5, 0.0)]:
         stiffness = (period.period0_s / start.mean_period_s) ** 2
