@@ -18,9 +18,9 @@ from processing.arrays import Ints
 from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
+from processing.fit.changes import fit_with_knocks
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
-from processing.fit.knocks import fit_with_knocks
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
 from processing.position_map import PositionMap

@@ -6,7 +6,7 @@ coordinates z of terms, each with its prior about zero. Rows are in units of the
 sizes of groups of coordinates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import log, sqrt
 from typing import NamedTuple
@@ -229,6 +229,12 @@ class LinearisedFit:
     def noise(self) -> Noise:
         """The noise by which the fit weighted its residuals."""
         return self.model.noise_of(self.fit)
+
+    def noises(self, drive_factors: Iterable[float]) -> list[Noise]:
+        """The noise with multiples of the likeliest drive; where that is 0, of a small one."""
+        own = self.noise
+        largest = own.step if own.step > 0 else 1e-3 * float(np.median(self.model.u_amplitude))
+        return [replace(own, step=largest * factor) for factor in drive_factors]
 
     def residual_changes(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
         """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
