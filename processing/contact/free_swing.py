@@ -98,10 +98,7 @@ def free_swing(
 
     `values` are the law's parameters by key in SI units, and optionally ``drag_s`` and `BOUNDARY_LAYER_DRAG`.
 
-    Raises
-    ------
-    DataError
-        The pendulum does not reach the last turning point, or its period is not positive.
+    Raises DataError where the pendulum does not reach the last turning point, or its period is not positive.
     """
     if not values["period0_s"] > 0.0:
         raise DataError(f"the period is {values['period0_s']:g} s; it must be positive")
@@ -146,10 +143,7 @@ def law_harmonics(
     They are fitted with the terms with which `HarmonicsMeasurement` measures pieces of `PIECE_HALF_CYCLES`,
     at a few amplitudes, and interpolated.
 
-    Raises
-    ------
-    DataError
-        The pendulum does not swing for so long, or large swings fall below small ones.
+    Raises DataError where the pendulum does not swing for so long, or large swings fall below small ones.
     """
     # here, because it would slow down every command
     from scipy.interpolate import CubicSpline

@@ -177,17 +177,8 @@ class AdhesiveContacts:
 def adhesive_contacts(c: float, pendulum: PendulumOnBall) -> AdhesiveContacts:
     """Contact spots and surface energies for an adhesion coefficient c of Eq. 1.
 
-    Parameters
-    ----------
-    c
-        Positive.
-    pendulum
-        With Hertz's contact radius, from which the reduced modulus follows.
-
-    Raises
-    ------
-    DataError
-        c is not positive: there is no adhesion to account for.
+    The reduced modulus follows from the pendulum's contact radius, Hertz's. Raises DataError for a c that is
+    not positive.
     """
     if not (isfinite(c) and c > 0):
         raise DataError(f"c = {c}: without adhesion the contact is Hertz's")

@@ -166,10 +166,7 @@ class StatedLaw:
     def of(self, points: TurningPoints, pendulum: PendulumOnBall, paper_values: Mapping[str, float]) -> Law:
         """The law of one decay; the parameters of the paper's law fitted to it give start values.
 
-        Raises
-        ------
-        DataError
-            A parameter without a start value, or a moment without finite values there.
+        Raises DataError for a parameter without a start value, or a moment without finite values there.
         """
         return _law(self, points, pendulum, paper_values)
 

@@ -105,7 +105,7 @@ def fit_asymptotic(
 
     values, to_physical = differenced(physical)(np.concatenate([decay.values, period.values]))
     scatter = np.zeros((k + 3, k + 3))
-    if exact is None or exact.ground is None or exact.ground.noise.at_rest:
+    if exact is None or exact.ground_fit.noise.at_rest:
         scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
         # overlapping full periods share turning points and are correlated; the turning times are independent
         by_time = _by_turning_time(period, points, periods)
@@ -225,8 +225,7 @@ def _driven_covariance(
     A least-squares fit takes the errors of turning points as independent, but a step of the drive moves all
     later ones.
     """
-    assert exact.ground is not None
-    noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
+    noise, rate = exact.ground_fit.noise, 2 * np.pi / exact.mean_period_s.value
     model, coordinates = ExactModel.of(points, pendulum, exact)
     _, _, amplitude_jacobian, time_jacobian = model.curve(coordinates)
     # derivatives of all amplitudes and times with respect to the first amplitude

@@ -108,9 +108,7 @@ def fit_with_knocks(
             with_worst = with_knocks({*gains, worst}, fit)
         except DataError:
             break
-        assert fit.ground is not None
-        assert with_worst.ground is not None
-        gain = fit.ground.deviance - with_worst.ground.deviance
+        gain = fit.ground_fit.deviance - with_worst.ground_fit.deviance
         if not gain > min_gain:
             break
         fit, gains[worst] = with_worst, gain
@@ -128,10 +126,9 @@ def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall, fit: FitR
 
 def _gain(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, knock: int) -> float:
     """Gain in -2 ln L by one of a fit's knocks, by the model that is linear about this fit."""
-    assert fit.ground is not None
     model, coordinates = ExactModel.of(points, pendulum, _without(fit, knock))
-    search = NoiseSearch(model, coordinates, fit.loss, Noise(averaged=fit.ground.noise.averaged))
-    return search.likeliest().deviance - fit.ground.deviance
+    search = NoiseSearch(model, coordinates, fit.loss, Noise(averaged=fit.ground_fit.noise.averaged))
+    return search.likeliest().deviance - fit.ground_fit.deviance
 
 
 def _without(fit: FitResult, knock: int) -> FitResult:

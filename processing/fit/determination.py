@@ -167,9 +167,7 @@ def profile_likelihood(
     value, u = result.estimate(name)
     if not np.isfinite(u):
         u = abs(value) or 1.0
-    scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    u_inflation = 1.0 if result.u_inflation is None else float(result.u_inflation[result.names.index(name)])
-    scale *= u_inflation**2
+    scale = result.scatter2 * float(result.inflation[result.names.index(name)]) ** 2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     conditional = _ConditionalModel(model, name, best)
     low_end, high_end = model.lower[conditional.free], model.upper[conditional.free]

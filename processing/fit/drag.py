@@ -127,17 +127,16 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult
 
     model = ExactModel(points.first(fit.half_cycles), pendulum, law=fit.law, drag=True, evidence=fit.evidence)
     start = next(start_near(model, fit), None)
-    if start is None or fit.ground is None:
+    if start is None:
         return None
-    weighted = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale)
+    weighted = model.on_ground(start, model.noise_of(fit), fit.ground_fit.measurement_scale)
     residuals, jacobian = weighted.linearised_at(start)(start)
     step, to_physical = FactoredJacobian(jacobian), model.parametrisation.physical(start)[1]
-    scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
     unexplained = step.residual(residuals)
-    f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / scale
+    f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / fit.scatter2
     p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
     b = model.names.index(fit.contact_names[0])
-    u_b = sqrt(propagate(to_physical, step.covariance())[b, b] * scale)
+    u_b = sqrt(propagate(to_physical, step.covariance())[b, b] * fit.scatter2)
     if p_value < _FIT_BELOW_CHANCE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
         return None
     return Drag(f_statistic=f_statistic, p_value=p_value)
@@ -154,9 +153,7 @@ def _test(
     from scipy.special import fdtrc, stdtrit
 
     value, u = by_data.estimate(DRAG.key)
-    scale = max(1.0, by_data.chi2_per_dof) if by_data.loss == "linear" else 1.0
-    if by_data.u_inflation is not None:
-        scale *= float(by_data.u_inflation[by_data.names.index(DRAG.key)]) ** 2
+    scale = by_data.scatter2 * float(by_data.inflation[by_data.names.index(DRAG.key)]) ** 2
     f_statistic = max(0.0, 2 * (without.cost - by_data.cost)) / scale
     p_value = float(fdtrc(1, by_data.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(by_data.dof, 0.95)) * u if u < inf else inf
@@ -175,10 +172,9 @@ def _at_least_as_uncertain(by_data: FitResult, fit: FitResult) -> FitResult:
     """The fit of the data alone, its uncertainties enlarged at least as much as those of the reported fit."""
     if by_data is fit or fit.u_inflation is None or len(fit.u_inflation) != len(by_data.names):
         return by_data
-    own = np.ones(len(by_data.names)) if by_data.u_inflation is None else by_data.u_inflation
-    u_inflation = np.maximum(fit.u_inflation, own)
-    more = np.outer(u_inflation / own, u_inflation / own)
-    return replace(by_data, u_inflation=u_inflation, covariance=by_data.covariance * more)
+    u_inflation = np.maximum(fit.u_inflation, by_data.inflation)
+    more = u_inflation / by_data.inflation
+    return replace(by_data, u_inflation=u_inflation, covariance=by_data.covariance * np.outer(more, more))
 
 
 def _relative_shift(value: float, shifted: float) -> float:
@@ -265,8 +261,7 @@ class _RunModel(NamedTuple):
     def of(cls, run: VanedRun, pendulum: PendulumOnBall) -> "_RunModel":
         model, coordinates = ExactModel.of(run.points, pendulum, run.fit)
         scale = max(1.0, run.fit.chi2_per_dof) ** 0.5
-        if run.fit.u_inflation is not None:
-            scale *= float(run.fit.u_inflation[run.fit.names.index(DRAG.key)])
+        scale *= float(run.fit.inflation[run.fit.names.index(DRAG.key)])
         return cls(run, model, coordinates, scale)
 
 
@@ -349,10 +344,8 @@ def _line(area_m2: float) -> Floats:
 def air_of_vanes(runs: Sequence[VanedRun], pendulum: PendulumOnBall) -> MeasuredAir:
     """The drag of the pendulum itself, from runs with different vanes.
 
-    Raises
-    ------
-    DataError
-        Fewer than two areas, a fit that is not exact, has no drag or a prior of it, or no convergence.
+    Raises DataError for fewer than two areas, a fit that is not exact, has no drag or a prior of it, or no
+    convergence.
     """
     from scipy.special import chdtrc
 

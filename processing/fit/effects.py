@@ -124,9 +124,7 @@ def boundary_layer_drag(linearised: LinearisedFit) -> BoundaryLayerDrag:
     )
     solution = linearised.solve_terms(Term(BOUNDARY_LAYER, derivatives))
     # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
-    scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
-    u_inflation = 1.0 if fit.u_inflation is None else float(np.max(fit.u_inflation))
-    u = sqrt(solution.covariance[0, 0]) * u_inflation * scatter / linearised.scale
+    u = sqrt(solution.covariance[0, 0] * fit.scatter2) * float(np.max(fit.inflation)) / linearised.scale
     if not 0 < u < inf:
         return BoundaryLayerDrag()
     shift = linearised.to_physical @ solution.law_shift

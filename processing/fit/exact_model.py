@@ -95,10 +95,7 @@ class ExactModel:
     Residuals of the `evidence` follow those of amplitudes and times. They are linear about the coordinates
     of the last `linearised_at`, and are multiplied by `scale`, so that they scatter as the turning points do.
 
-    Raises
-    ------
-    DataError
-        The law cannot be fitted with a drag, or to these points.
+    Raises DataError where the law cannot be fitted with a drag, or to these points.
     """
 
     def __init__(
@@ -343,13 +340,13 @@ class ExactModel:
             evidence=result.evidence,
         )
         coordinates = model.parametrisation.from_physical(result.named_values)
-        scale = 1.0 if result.ground is None else result.ground.measurement_scale
+        scale = result.ground_fit.measurement_scale
         weighted = model.on_ground(coordinates, model.noise_of(result), scale)
         return weighted.linearised_at(coordinates), coordinates
 
     def noise_of(self, result: FitResult) -> Noise:
         """The noise by which a finished fit of the same points weighted its residuals."""
-        noise = AT_REST if result.ground is None else result.ground.noise.as_weights
+        noise = result.ground_fit.noise.as_weights
         return replace(noise, step=noise.step / self.reference)
 
 

@@ -332,6 +332,8 @@ def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
 
 def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     """Every component's signals; raises DataError for samples that are too few or too far apart."""
+    from scipy.ndimage import binary_dilation  # here, because it would slow down every command
+
     time, value, step_s = _even(seismometer, period_s)
     good = np.all(np.isfinite(value), axis=1)
     if np.count_nonzero(good) * step_s < 4 * period_s:
@@ -352,7 +354,8 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
     signals = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
     signals = signals[padding : padding + len(time)]
-    usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    guard = ceil(_GUARD_PERIODS * period_s / step_s)
+    usable = ~binary_dilation(~good, np.ones(2 * guard + 1, dtype=np.bool_))
     return Signals(time[usable], np.ascontiguousarray(signals[usable]), _MIN_GAP_STEPS * step_s)
 
 
@@ -385,11 +388,3 @@ def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, flo
     used = count // block * block
     even = even[:used].reshape(-1, block).mean(axis=1)
     return even, values[:used].reshape(len(even), block, -1).mean(axis=1), step_s * block
-
-
-def _dilate(lost: Flags, guard: int) -> Flags:
-    """Whether each sample is at most `guard` samples from a lost one."""
-    count = np.concatenate([[0], np.cumsum(lost)])
-    places = np.arange(len(lost))
-    low, high = np.maximum(places - guard, 0), np.minimum(places + guard + 1, len(lost))
-    return np.asarray(count[high] > count[low])

@@ -66,23 +66,13 @@ def with_discrepancy(linearised: LinearisedFit, fit: FitResult | None = None) ->
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
     discrepancy = replace(discrepancy, u_inflation=dict(zip(fit.names, factor.tolist(), strict=True)))
-    return replace(wider, discrepancy=discrepancy, warnings=(*fit.warnings, _warning(discrepancy, factor)))
-
-
-def _warning(discrepancy: DiscrepancySize, factor: Floats) -> str:
-    errors = [
-        f"its {name} by {float(f'{100 * size:.2g}'):g} %"
-        for name, size in (
-            ("losses", discrepancy.loss),
-            ("durations", discrepancy.duration),
-            ("harmonics", discrepancy.waveform),
-        )
-        if size
-    ]
-    return (
+    sizes = {"losses": discrepancy.loss, "durations": discrepancy.duration, "harmonics": discrepancy.waveform}
+    errors = [f"its {name} by {float(f'{100 * size:.2g}'):g} %" for name, size in sizes.items() if size]
+    warning = (
         f"the law does not describe this decay (chi2 {discrepancy.against_law:.0f} against it): it misses "
         f"{', '.join(errors)}; uncertainties are widened for it by up to {factor.max():.2g}"
     )
+    return replace(wider, discrepancy=discrepancy, warnings=(*fit.warnings, warning))
 
 
 def _discrepancy(linearised: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
@@ -277,8 +267,7 @@ def compare_laws(
             problem = f"the drive that it needs would drown {lost} half-cycles"
             trials.append(LawTrial(law, None, problem=problem))
             continue
-        assert fit.ground is not None  # of every exact fit
-        bic = fit.ground.unrestricted + len(fit.names) * log(2 * len(points))
+        bic = fit.ground_fit.unrestricted + len(fit.names) * log(2 * len(points))
         trials.append(LawTrial(law, fit, bic))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.discrepancy is None:

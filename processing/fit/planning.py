@@ -56,13 +56,12 @@ class Conditions:
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
-        """The conditions of a finished run; its drive is the likeliest one."""
-        scale = 1.0 if fit.ground is None else fit.ground.noise.scale
-        waveform = fit.evidence.waveform
+        """The conditions of a finished run, by its exact fit; its drive is the likeliest one."""
+        scale, waveform = fit.ground_fit.noise.scale, fit.evidence.waveform
         return cls(
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
-            0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
+            fit.ground_fit.density_rad_per_s2_rthz.value,
             sine_covariance=None if waveform is None else waveform.median_covariance,
             known_drag_s=fit.evidence.drag_s,
         )
@@ -117,10 +116,7 @@ def planned_run(
 ) -> PlannedRun:
     """The planned run from one amplitude to another, for a law with these values.
 
-    Raises
-    ------
-    DataError
-        The pendulum makes too few half-cycles between the two amplitudes.
+    Raises DataError where the pendulum makes too few half-cycles between the two amplitudes.
     """
     drag = DRAG.key in values
     names = law.fit_names(drag=drag)

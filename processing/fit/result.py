@@ -235,6 +235,23 @@ class FitResult(FitQuality):
         return dict(zip(self.names, self.values.tolist(), strict=True))
 
     @property
+    def ground_fit(self) -> GroundFit:
+        """`ground`, which every exact fit has; raises DataError for another fit."""
+        if self.ground is None:
+            raise DataError(f"the {self.method} fit does not estimate the drive of the ground")
+        return self.ground
+
+    @property
+    def inflation(self) -> Floats:
+        """`u_inflation`, 1 where nothing did."""
+        return np.ones(len(self.names)) if self.u_inflation is None else self.u_inflation
+
+    @property
+    def scatter2(self) -> float:
+        """Factor max(1, chi2/dof) of the covariance; 1 with a robust loss."""
+        return max(1.0, self.chi2_per_dof) if self.loss == "linear" else 1.0
+
+    @property
     def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
 
@@ -263,7 +280,7 @@ class FitResult(FitQuality):
         return replace(
             self,
             covariance=self.covariance + added,
-            u_inflation=factor if self.u_inflation is None else self.u_inflation * factor,
+            u_inflation=self.inflation * factor,
             terms={**self.terms, name: changes},
             warnings=(*self.warnings, *warnings),
             **fields,
@@ -314,12 +331,8 @@ class FitResult(FitQuality):
         return Estimate(float(self.values[i]), float(np.sqrt(self.covariance[i, i])))
 
     def interval(self, name: str, coverage: float = 0.95) -> tuple[float, float]:
-        """Confidence interval from the covariance and Student's t.
-
-        It is symmetric in the logarithm for a positive value of a parameter marked `Parameter.logarithmic`
-        (b and gamma, whose units contain the exponents p and n). For poorly determined parameters
-        `identifiability` uses the profile likelihood.
-        """
+        """Confidence interval from the covariance and Student's t, symmetric in the logarithm for a positive
+        value of a parameter marked `Parameter.logarithmic`."""
         from scipy.special import stdtrit
 
         value, u = self.estimate(name)

@@ -128,8 +128,6 @@ def _accepted_use(
     use: SeismometerUse, alone: FitResult, fit: FitResult, names: Sequence[str], chosen: Sequence[int]
 ) -> SeismometerUse:
     """The use with an accepted fit by the `chosen` signals; `names` are those of the components."""
-    assert alone.ground is not None
-    assert fit.ground is not None
     drive = fit.evidence.drive
     assert drive is not None
     assert drive.covariance is not None
@@ -154,8 +152,8 @@ def _accepted_use(
     return replace(
         use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
-        explained=float(explained_power / (explained_power + fit.ground.noise.step**2)),
-        ground_left_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz,
+        explained=float(explained_power / (explained_power + fit.ground_fit.noise.step**2)),
+        ground_left_rad_per_s2_rthz=fit.ground_fit.density_rad_per_s2_rthz,
         responses=tuple(responses),
     )
 
@@ -199,18 +197,17 @@ class SignalDrives:
         self.names = seismometer.names
         self.signals = signals_of(during_run, self.period_s)
         self._points, self._averaged = points, averaged
-        self.drive = known_drive(points, self.signals, averaged=averaged)
+        self.drive = self.changed()
 
-    def delayed(self, delay_s: float, drift: float = 0.0) -> KnownDrive:
-        """The drive by all signals, later by `delay_s` and by `drift` a second from the run's middle."""
+    def changed(
+        self, delay_s: float = 0.0, drift: float = 0.0, rest_weight: float = FREE_REST_WEIGHT
+    ) -> KnownDrive:
+        """The drive by all signals, later by `delay_s` and by `drift` a second from the run's middle, with a
+        weight of a half-cycle's own samples in its equilibrium."""
         time = self.signals.time_s
         middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
         signals = replace(self.signals, time_s=time + delay_s + drift * (time - middle))
-        return known_drive(self._points, signals, averaged=self._averaged)
-
-    def with_rest_weight(self, weight: float) -> KnownDrive:
-        """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
-        return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
+        return known_drive(self._points, signals, averaged=self._averaged, rest_weight=rest_weight)
 
 
 class ClockCorrection(NamedTuple):
@@ -247,7 +244,6 @@ class _Search:
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
         """
-        assert self.alone.ground is not None
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
         for corrections in range(_MAX_CORRECTIONS + 1):
@@ -260,7 +256,7 @@ class _Search:
                 )
             use = SeismometerUse(
                 missing_half_cycles=int(np.count_nonzero(drives.drive.missing)),
-                ground_alone_rad_per_s2_rthz=self.alone.ground.density_rad_per_s2_rthz,
+                ground_alone_rad_per_s2_rthz=self.alone.ground_fit.density_rad_per_s2_rthz,
             )
             count = len(drives.drive.missing)
             if use.missing_half_cycles > (1 - _MIN_COVERED_SHARE) * count:
@@ -334,8 +330,8 @@ class _Search:
         evidence = replace(fit.evidence, drive=drive)
         model = ExactModel(self.points, self.pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
         assert model.known_drive is not None
-        assert fit.ground is not None
-        noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+        noise = fit.ground_fit.noise
+        noise = replace(noise, step=noise.step / model.reference)
         filtered = model.filtered(model.parametrisation.from_physical(fit.named_values), noise)
         by_gains = filtered.jacobian[:, : drive.terms] / model.known_drive.unit
         return filtered.residuals, by_gains, filtered.jacobian[:, drive.terms :]
@@ -373,12 +369,12 @@ class _Search:
         delay_s = _SHIFT_PERIODS * drives.period_s
         drift = delay_s / (0.5 * float(self.points.time_s[-1] - self.points.time_s[0]))
         derivatives = []
-        heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
-        for larger, smaller, size in (
-            (drives.delayed(delay_s), drives.delayed(-delay_s), delay_s),
-            (drives.delayed(0.0, drift), drives.delayed(0.0, -drift), drift),
-            (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
+        for name, middle, size in (
+            ("delay_s", 0.0, delay_s),
+            ("drift", 0.0, drift),
+            ("rest_weight", FREE_REST_WEIGHT, _WEIGHT_CHANGE),
         ):
+            larger, smaller = (drives.changed(**{name: middle + change}) for change in (size, -size))
             change = (larger.steps - smaller.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
             derivatives.append(np.where(larger.missing | smaller.missing, 0.0, change))
         count = len(derivatives)

@@ -214,7 +214,7 @@ class LinearisedFit:
     @classmethod
     def of(cls, points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> "LinearisedFit":
         """The linearised fit of these points; raises DataError for another method than the exact one."""
-        if fit.method is not FitMethod.EXACT or fit.ground is None:
+        if fit.method is not FitMethod.EXACT:
             raise DataError(f"terms are added to an exact fit, and this one is {fit.method}")
         model, coordinates = ExactModel.of(points, pendulum, fit)
         residuals, jacobian = model(coordinates)

@@ -300,9 +300,8 @@ class PositionMapSearch:
 def _significance(prior: Floats, scores: Floats) -> float:
     """Score for an error common to all cycles, in its standard deviations for independent cycles.
 
-    With the sum g of the scores, their covariance S and the prior C of the error it is
-    ``(g.C g - tr CS) / sqrt(2 tr CSCS)``. S is taken from second differences d of the scores, which have
-    six times their variance: neighbouring cycles pass the same places, and a common error drops out.
+    With the sum g of the scores, their covariance S and the prior C it is ``(g.C g - tr CS) / sqrt(2 tr
+    CSCS)``. Second differences of the scores have six times S, and a common error drops out of them.
     """
     difference = scores[:-2] - 2.0 * scores[1:-1] + scores[2:]
     scale = len(scores) / (6.0 * len(difference))

@@ -87,12 +87,8 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
 
     The between-run variance is that of Mandel and Paule, with which the weighted sum of squares equals its
     expectation. The uncertainty of the mean is that of Hartung and Knapp, with Student's t for the number of
-    runs minus one, but at least the within-run part.
-
-    Raises
-    ------
-    DataError
-        Fewer than two runs, or a run whose uncertainty is not positive and finite.
+    runs minus one, but at least the within-run part. Raises DataError for fewer than two runs, or one whose
+    uncertainty is not positive and finite.
     """
     from scipy.special import chdtrc
 

@@ -128,10 +128,7 @@ class Design(NamedTuple):
 def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     """The arrays of a model over runs.
 
-    Raises
-    ------
-    DataError
-        No runs, an unknown parameter of an effect, or a coordinate that no run has.
+    Raises DataError without runs, for an unknown parameter of an effect, or a coordinate that no run has.
     """
     if not runs:
         raise DataError("a series needs runs")
