@@ -29,8 +29,7 @@ _NODES = 256
 """Nodes of a half-cycle; with this number the third harmonic is right within 1e-4 of itself."""
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-10
 """Most iterations of the next amplitude and of the air's work, and the relative change of the amplitude at
-which they end: each reduces the change by the ratio of moment to weight, mostly below 1 %.
-"""
+which they end: each reduces the change by the ratio of moment to weight, mostly below 1 %."""
 _AMPLITUDES, _HIGHEST_RATIO = 8, 1.02
 """Number of amplitudes at which a law is computed, and the highest of them over the highest of the data."""
 _SAMPLES = 256
@@ -215,8 +214,7 @@ class ExpectedDrag:
     width_m: float
     assumed: tuple[str, ...] = ()
     """Names of the quantities that were neither measured nor stated: usual air (20 degrees Celsius, 50 %,
-    101325 Pa), and a bar that follows from the pendulum's inertia.
-    """
+    101325 Pa), and a bar that follows from the pendulum's inertia."""
 
 
 def expected_drag_s(air: Air, bar: UniformBar, pendulum: PendulumOnBall, period_s: float) -> float:

@@ -21,8 +21,7 @@ TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where the range of a decay is not known."""
 _MAX_GROWTH = 2.0
 """Largest amplitude over the first one at which a decay is continued: an oscillation that grows by more is
-none.
-"""
+none."""
 
 
 class PredictedTurningPoints(NamedTuple):
@@ -81,8 +80,7 @@ class HalfCycleTable(NamedTuple):
     cubics: Floats
     """Coefficients (4, knots - 1, 2 + 2 k), the highest power first, of cubic polynomials in ln A minus the
     lower knot. They give the next amplitude over A, the duration (T0), then the derivatives of each with
-    respect to the parameters at fixed A.
-    """
+    respect to the parameters at fixed A."""
 
     @classmethod
     def of(cls, log_a: Floats, rows: Floats, min_finite: int, extra_low: int) -> "HalfCycleTable | None":

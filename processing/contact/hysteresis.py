@@ -32,8 +32,7 @@ _RELATIVE_STEP = 1e-5
 """Relative step of the numerical derivatives with respect to the parameters."""
 _MAX_WORK_ITERATIONS, _MAX_NEWTON_ITERATIONS, _MAX_SPEED_ITERATIONS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, and of the speed with a drag; mostly 5, 5 and 6 are
-needed. A search also tries values for which one amplitude of many never converges: all would wait for it.
-"""
+needed. A search also tries values for which one amplitude of many never converges: all would wait for it."""
 
 
 class Branch(NamedTuple):
@@ -45,8 +44,7 @@ class Branch(NamedTuple):
 
     resistance: Callable[[Floats, Floats, Arrays], Floats]
     """Moment against the motion, negative if the contact pushes: function of the distance from the reversal,
-    the moment there, and q.
-    """
+    the moment there, and q."""
     mean_resistance: Callable[[Floats, Floats, Arrays], Floats]
     """Mean of `resistance` over the distance, a function of the same."""
     reversal_moment: Callable[[Floats, Arrays], Floats]
@@ -100,8 +98,7 @@ class _QuadraturePoints(NamedTuple):
     """Weights for integration over theta."""
     drag_work_matrix: Floats
     """Maps sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'`` over `distance_fraction`. Only
-    the root is interpolated, so that no digits are lost near the reversal.
-    """
+    the root is interpolated, so that no digits are lost near the reversal."""
 
 
 @lru_cache(maxsize=1)

@@ -52,8 +52,7 @@ _DERIVATIVE_TOLERANCE = 1e-9
 """Relative change at which the iteration of derivatives with respect to a drag ends."""
 _MAX_AMPLITUDE_ITERATIONS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
-end: each reduces the change by a hundredth of the drag's moment.
-"""
+end: each reduces the change by a hundredth of the drag's moment."""
 
 
 class Moment(NamedTuple):
@@ -79,8 +78,7 @@ class Moments(NamedTuple):
 
 MomentsFunction = Callable[[Floats, float, float], Moments | None]
 """Function (parameters, lowest, highest) of a law that gives its moments between two angles, for the map's
-parameters without the first amplitude (`Coordinates.map_parameters`); None if these have none.
-"""
+parameters without the first amplitude (`Coordinates.map_parameters`); None if these have none."""
 
 
 class _QuarterNodes(NamedTuple):
@@ -93,8 +91,7 @@ class _QuarterNodes(NamedTuple):
     sin_square: Floats
     drag_work_matrix: Floats
     """Square matrix that maps f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the
-    work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
-    """
+    work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point."""
 
 
 @lru_cache(maxsize=1)

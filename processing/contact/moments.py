@@ -135,8 +135,7 @@ ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
 _MAUGIS_PER_TABOR = 1.157
 """Maugis' parameter lambda over Tabor's mu, if Dugdale's step of the force has the work and the peak force of
-Lennard-Jones'.
-"""
+Lennard-Jones'."""
 _MIN_TABOR_JKR = 5.0
 _MAX_TABOR_DMT = 0.1
 """Tabor parameters above which JKR, and below which DMT holds (Johnson & Greenwood 1997)."""

@@ -53,8 +53,7 @@ _PLACE_ITERATIONS = 4
 """Iterations for the true place: each reduces its error by the slope of the map, a few per cent."""
 _PHASES = 512
 """Number of phases of an integral over a cycle. The errors of amplitudes differ by 2.6e-6 of themselves from
-those with 16,384 phases, at any correlation length.
-"""
+those with 16,384 phases, at any correlation length."""
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,7 @@ SIGNIFICANT = 12.0
 """Score in its standard deviations above which the error is accepted.
 
 Noise gives such a score with a probability of 2e-5 for each correlation length, if the error has a single
-degree of freedom, in which case the score scatters most.
-"""
+degree of freedom, in which case the score scatters most."""
 
 
 class NormalEquations(NamedTuple):

@@ -57,14 +57,6 @@ def test_sliders_lose_what_they_lose_one_by_one(drag: float) -> None:
     np.testing.assert_allclose(found.time, time / (2 * np.pi), rtol=2e-5)
 
 
-def test_a_linear_drag_alone_takes_the_same_share_of_every_swing() -> None:
-    drag, index = 4e-3, np.arange(300)
-    found = LAWS["viscous"].turning_points(np.array([drag, FIRST, 0.0, 1.0]), index)
-    rate = np.sqrt(1 - drag**2 / 4)
-    np.testing.assert_allclose(found.amplitude, np.exp(-np.pi * drag / (2 * rate) * index), rtol=1e-12)
-    np.testing.assert_allclose(found.time, index / (2 * rate), rtol=1e-11)
-
-
 @pytest.mark.parametrize(
     ("name", "values"),
     [
