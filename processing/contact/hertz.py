@@ -64,10 +64,10 @@ def pendulum_on_ball(
     *,
     gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2,
 ) -> PendulumOnBall:
-    """The pendulum with its contact radius from Hertz's theory.
+    """The pendulum with its contact radius from Hertz's theory; for two balls with half the mass.
 
-    For two balls pass half the mass. The moments of Eqs. 1 and 3 are then those of one ball; their ratio to
-    m g R, on which alone the motion depends, is the same.
+    The moments of Eqs. 1 and 3 are then those of one ball; their ratio to m g R, on which alone the motion
+    depends, is the same.
     """
     radius_m = contact_radius(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
     return PendulumOnBall(mass_kg, ball_radius_m, radius_m, gravity_m_per_s2)

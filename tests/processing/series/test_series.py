@@ -256,6 +256,8 @@ def test_coordinates_return() -> None:
     values = np.array([3.7e-3, 0.944, 1.05e-8, 0.092, 4.071, 28.97e6])
     found, by_parameters = to_coordinates(names, values, 3e-4)
     np.testing.assert_allclose(parameters(names, found, 3e-4), values, rtol=1e-12)
+    # the logarithms of the friction by b, and of the stiffness, at the reference amplitude
+    assert np.exp(found[[0, 5]]) == pytest.approx([3.7e-3 * 3e-4**-0.056, 28.97e6 * 3e-4**0.092])
     for place in range(6):
         moved = values.copy()
         step = 1e-6 * values[place]
