@@ -28,7 +28,6 @@ from processing.fit.result import (
 )
 from processing.fit.terms import DrivenRows, LinearisedFit, Term, TermSolution, solve
 from processing.fit.uncertainty import RigQuantities
-from processing.least_squares import FactoredJacobian
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, PieceHarmonics, TurningPoints
@@ -212,19 +211,14 @@ def sensor_derivatives(linearised: LinearisedFit, rig: RigQuantities) -> dict[st
     keep their lengths but for friction. The sign is not known, as which end comes first is not. An error that
     all amplitudes share makes each too small by the same amount.
     """
-    points, derivatives = linearised.points, {}
+    points, by_source = linearised.points, dict[str, Floats]()
     if rig.row_time_s.u > 0:
         rows = np.tan(2.0 * points.amplitude) * rig.arm_m.value / rig.pitch_m.value
         rows *= np.cos(rig.slow_angle_rad.value) * sides(points)
-        derivatives["row_time_s"] = linearised.parameter_changes(
-            linearised.residual_changes(time_s=rows[:, None])
-        )[:, 0]
+        by_source["row_time_s"] = linearised.residual_changes(time_s=rows[:, None])
     if rig.common_amplitude_rad.u > 0:
-        ones = np.ones((len(points), 1))
-        derivatives["common_amplitude_rad"] = linearised.parameter_changes(
-            linearised.residual_changes(amplitude=ones)
-        )[:, 0]
-    return derivatives
+        by_source["common_amplitude_rad"] = linearised.residual_changes(amplitude=np.ones((len(points), 1)))
+    return {name: linearised.parameter_changes(changes)[:, 0] for name, changes in by_source.items()}
 
 
 def amplitude_error_effects(linearised: LinearisedFit, errors: Floats) -> Floats:
@@ -396,10 +390,7 @@ def with_rest_position(linearised: LinearisedFit, alternation: TimeAlternation, 
     rows = DrivenRows.of(linearised.model, linearised.coordinates, linearised.noise, errors).in_scatter(
         linearised.scale
     )
-    columns = rows.by_errors.sum(axis=1, keepdims=True)
-    good = np.isfinite(linearised.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-    law = FactoredJacobian(linearised.jacobian[good])
-    changes = linearised.to_physical @ law.coefficients(columns[good])
+    changes = -linearised.value_changes(rows.by_errors.sum(axis=1, keepdims=True))
     felt = np.abs(changes[:, 0]) > _MIN_FELT_U * fit.standard_uncertainty
     return fit.with_term(REST_POSITION, changes) if np.any(felt) else fit
 

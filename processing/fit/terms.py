@@ -236,14 +236,11 @@ class LinearisedFit:
         largest = own.step if own.step > 0 else 1e-3 * float(np.median(self.model.u_amplitude))
         return [replace(own, step=largest * factor) for factor in drive_factors]
 
-    def residual_changes(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
+    def residual_changes(self, amplitude: Floats | float = 0.0, time_s: Floats | float = 0.0) -> Floats:
         """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
-        if amplitude is None:
-            assert time_s is not None
-            amplitude = np.zeros_like(time_s)
-        time_s = np.zeros_like(amplitude) if time_s is None else time_s
         model, changes = self.model, []
-        for amplitude_error, time_error in zip(amplitude.T / model.reference, time_s.T, strict=True):
+        errors = np.broadcast_arrays(np.divide(amplitude, self.model.reference), time_s)
+        for amplitude_error, time_error in zip(*(error.T for error in errors), strict=True):
             # a small step, since a filter with a limit is linear only near its values
             errors_u = amplitude_error / model.u_amplitude, time_error / self.points.u_time_s
             largest_u = float(np.max(np.abs(errors_u)))
@@ -266,11 +263,15 @@ class LinearisedFit:
         rows = DrivenRows.of(model, coordinates, self.noise, further, of_waveform[:, None])
         return rows.in_scatter(self.scale).by_errors[:, 0]
 
-    def parameter_changes(self, columns: Floats) -> Floats:
-        """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""
+    def value_changes(self, columns: Floats) -> Floats:
+        """Changes (values, m) of the fit's values where residuals are larger by (rows, m)."""
         good = np.isfinite(self.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-        changes = self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
-        return -changes[[self.fit.names.index(name) for name in self.fit.contact_names]]
+        return -self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
+
+    def parameter_changes(self, columns: Floats) -> Floats:
+        """The same of the contact parameters alone."""
+        places = [self.fit.names.index(name) for name in self.fit.contact_names]
+        return self.value_changes(columns)[places]
 
     def solve_terms(self, *terms: Term) -> TermSolution:
         """The terms and the law together, near the end of the fit."""

@@ -52,29 +52,21 @@ class NormalEquations(NamedTuple):
     score: Floats
     """``J^T W r``."""
 
-    @property
-    def spline_count(self) -> int:
-        return len(self.score) - SHARED_PARAMETERS
-
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
         """Equations of the splines with the common columns free; `scale` is the variance of the residuals."""
-        count = self.spline_count
         gain = self.common_gain()
         return NormalEquations(
-            (self.information[:count, :count] - gain @ self.information[count:, :count]) / scale,
-            (self.score[:count] - gain @ self.score[count:]) / scale,
+            (self.information[:_SPLINES, :_SPLINES] - gain @ self.information[_SPLINES:, :_SPLINES]) / scale,
+            (self.score[:_SPLINES] - gain @ self.score[_SPLINES:]) / scale,
         )
 
     def common_gain(self) -> Floats:
         """Gain (splines, SHARED_PARAMETERS) of the splines' score by the score of the free common columns."""
-        return np.asarray(
-            self.information[: self.spline_count, self.spline_count :] @ self._inverse(), dtype=np.float64
-        )
+        return np.asarray(self.information[:_SPLINES, _SPLINES:] @ self._inverse())
 
     def complete(self, coefficients: Floats) -> Floats:
         """Coefficients of the splines, followed by the likeliest ones of the common columns given these."""
-        count = self.spline_count
-        score = self.score[count:] - self.information[count:, :count] @ coefficients
+        score = self.score[_SPLINES:] - self.information[_SPLINES:, :_SPLINES] @ coefficients
         return np.concatenate([coefficients, self._inverse() @ score])
 
     def explained(self, coefficients: Floats) -> float:
@@ -82,7 +74,7 @@ class NormalEquations(NamedTuple):
         return float(2.0 * coefficients @ self.score - coefficients @ self.information @ coefficients)
 
     def _inverse(self) -> Floats:
-        common = self.information[self.spline_count :, self.spline_count :]
+        common = self.information[_SPLINES:, _SPLINES:]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(common), 1e-300))
         inverse = np.linalg.pinv(common * np.outer(scale, scale), rcond=1e-10, hermitian=True)
         return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
@@ -109,7 +101,7 @@ class Accumulator:
         self._mixed_products = np.zeros((splines.count, SHARED_PARAMETERS))
         self._common = np.zeros((SHARED_PARAMETERS, SHARED_PARAMETERS))
         self._own_columns: list[Floats] = []
-        self._own_products: Floats | None = None
+        self._own_products = np.zeros((splines.count, splines.count))
         self._score = np.zeros(splines.count + SHARED_PARAMETERS)
 
     def add(self, cycle: CycleResiduals) -> Floats:
@@ -156,8 +148,7 @@ class Accumulator:
                 distance, : splines - distance
             ]
         self._add_own_products()
-        if self._own_products is not None:
-            information[:splines, :splines] -= self._own_products
+        information[:splines, :splines] -= self._own_products
         information[:splines, splines:] = self._mixed_products
         information[splines:, :splines] = self._mixed_products.T
         information[splines:, splines:] = self._common
@@ -167,8 +158,7 @@ class Accumulator:
         if self._own_columns:
             columns = np.column_stack(self._own_columns)
             self._own_columns.clear()
-            products = columns @ columns.T
-            self._own_products = products if self._own_products is None else self._own_products + products
+            self._own_products += columns @ columns.T
 
 
 class _LikelihoodPeak(NamedTuple):

@@ -37,16 +37,12 @@ CLOCK: Floats = STEP_S * np.arange(12_000, dtype=np.float64)
 
 def decay(time_s: Floats, drive: Floats, last_arcsec: float = 15.0) -> tuple[TurningPoints, FitResult]:
     """Turning points with noise, and the fit without a seismometer."""
-    time, turn, _ = driven_path(
-        PARAMETERS,
-        PENDULUM,
-        q=0.0,
-        seed=0,
-        last_arcsec=last_arcsec,
-        forcing=lambda t: np.interp(t, time_s, drive, left=0.0, right=0.0),
-    )
-    rng = np.random.default_rng(1)
-    points = with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, rng)
+
+    def forcing(t: Floats) -> Floats:
+        return np.interp(t, time_s, drive, left=0.0, right=0.0)
+
+    time, turn, _ = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=0, last_arcsec=last_arcsec, forcing=forcing)
+    points = with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, np.random.default_rng(1))
     return points, fit_exact(points, PENDULUM, averaged=False)
 
 
