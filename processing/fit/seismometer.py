@@ -67,18 +67,17 @@ class SeismometerVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
-
-    `gain` is in rad/s^2 per unit of the component. `phase_rad` is the lead of the drive over it, with
-    deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
-    """
+    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency."""
 
     name: str
     gain: float = nan
+    """In rad/s^2 per unit of the component."""
     u_gain: float = nan
     phase_rad: float = nan
+    """Lead of the drive over the component, with deflections positive at the first turning point."""
     u_phase_rad: float = nan
     with_slope: bool = False
+    """Whether gain and phase may change with frequency."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
