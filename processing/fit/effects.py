@@ -246,15 +246,6 @@ class Alternation:
     def seen(self) -> bool:
         return self.chance < _SEEN_CHANCE
 
-    @property
-    def taken_off_text(self) -> str:
-        """Remark, in one line, on turning times that were corrected."""
-        size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
-        return (
-            "turning times at the two ends alternate as with a rolling shutter, but none is stated "
-            f"({with_uncertainty(size, u)} s/rad): this was subtracted; state shutter.row_time_s"
-        )
-
     def text(self, rad_per_px: float) -> str:
         """Remark, in one line, on a second harmonic; `rad_per_px` is the tilt that moves the spot by 1 px."""
         size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
@@ -280,13 +271,20 @@ class TimeAlternation(NamedTuple):
     @property
     def taken_off_texts(self) -> tuple[str, ...]:
         """Remarks, one line each, on turning times that were corrected."""
-        rest = with_uncertainty(*(angle_rad / ARCSEC_RAD for angle_rad in self.rest_rad))
-        of_rest = (
-            f"turning times at the two ends alternate as where the pendulum rests {rest} arcsec beside the "
-            "middle of its contact: this was subtracted, and uncertainties hold what it changes of the losses"
-        )
-        of_rows = [self.rows.taken_off_text] if self.rows.seen else []
-        return (*of_rows, *([of_rest] if self.rest_seen else []))
+        begin, texts = "turning times at the two ends alternate as", []
+        if self.rows.seen:
+            delay = with_uncertainty(abs(self.rows.delay_s_per_rad), self.rows.u_delay_s_per_rad)
+            texts.append(
+                f"{begin} with a rolling shutter, but none is stated ({delay} s/rad): this was "
+                "subtracted; state shutter.row_time_s"
+            )
+        if self.rest_seen:
+            rest = with_uncertainty(*(angle_rad / ARCSEC_RAD for angle_rad in self.rest_rad))
+            texts.append(
+                f"{begin} where the pendulum rests {rest} arcsec beside the middle of its contact: this was "
+                "subtracted, and uncertainties hold what it changes of the losses"
+            )
+        return tuple(texts)
 
 
 def _chance(value: float, u: float) -> float:

@@ -137,15 +137,10 @@ def _scatter_of(residuals: Floats) -> Floats:
     clipped = np.clip(residuals, -_OUTLIER_U * size, _OUTLIER_U * size)
     scatter, dof, orders = clipped.T @ clipped, len(residuals) - _TREND_TERMS, len(_ODD)
     prior = max(1.0, float(np.trace(scatter)) / orders / dof) * np.eye(orders)
-    factor = _weighting_factor((dof + _STATED_PIECES) ** 2 / dof, orders)
+    # weights by a matrix from the data favour what happens to scatter little (Wishart's distribution)
+    known = (dof + _STATED_PIECES) ** 2 / dof
+    factor = (known - 1) / (known - orders) / ((known - orders + 1) / known)
     return np.asarray(factor * (scatter + _STATED_PIECES * prior) / (dof + _STATED_PIECES))
-
-
-def _weighting_factor(dof: float, size: int) -> float:
-    """Factor that a covariance matrix (size, size) from the data needs where its inverse weights a fit: such
-    weights favour what happens to scatter little (Wishart's distribution)."""
-    stated, actual = (dof - size + 1) / dof, (dof - 1) / (dof - size)
-    return actual / stated
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,6 @@ def _rate(start: StartValues) -> float:
     return start.decay.c + max(start.decay.b, 0.0) / (start.decay.p + 1)
 
 
-def _coulomb_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    return [{"c": _rate(start), PERIOD: start.mean_period_s}]
-
-
 def _coulomb(parameters: Floats, _: float, __: float) -> Moments:
     c = float(parameters[0])
     friction = Moment((0,), lambda x: np.full_like(x, c), lambda x: np.array([c * x, x]))
@@ -41,12 +37,8 @@ COULOMB = memoryless_law(
     _coulomb,
     {"c": Scaling(1.0)},
     lambda _: logarithms_of(),
-    _coulomb_starts,
+    lambda start, _: [{"c": _rate(start), PERIOD: start.mean_period_s}],
 )
-
-
-def _viscous_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    return [{DRAG.key: 4 / np.pi * _rate(start), PERIOD: start.mean_period_s}]
 
 
 VISCOUS = memoryless_law(
@@ -57,7 +49,7 @@ VISCOUS = memoryless_law(
     lambda parameters, _, __: Moments(NO_MOMENT, NO_MOMENT),
     {},
     lambda _: logarithms_of(),
-    _viscous_starts,
+    lambda start, _: [{DRAG.key: 4 / np.pi * _rate(start), PERIOD: start.mean_period_s}],
 )
 
 
