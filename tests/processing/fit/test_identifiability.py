@@ -131,8 +131,13 @@ def test_what_is_known_of_the_air_is_taken_off_what_the_data_say() -> None:
     assert verdict.of_data_s.value == pytest.approx(free.estimate("drag_s").value, abs=0.3 * u)
 
 
-def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval() -> None:
+@pytest.mark.parametrize("understated", [1.0, 2.0])
+def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval(understated: float) -> None:
     _, pendulum, points, result = fitted("silicon", 0.005, 2)
+    if understated > 1.0:
+        u_amplitude, u_time_s = points.u_amplitude / understated, points.u_time_s / understated
+        points = replace(points, u_amplitude=u_amplitude, u_time_s=u_time_s)
+        result = fit_exact(points, pendulum)
     assert {item.verdict for item in identifiability(points, pendulum, result)} == {"determined"}
     for name in PAPER.names():
         lower, upper = result.interval(name)
