@@ -35,8 +35,7 @@ _DECAY_RATE_FACTORS = (1.0, 0.9, 0.7, 0.4)
 
 StartProposal = Callable[[StartValues, float], Sequence[Mapping[str, float]]]
 """Function of a law that proposes scaled start values by key, from those of a decay of the paper's form and
-the reference amplitude in rad; the most promising first.
-"""
+the reference amplitude in rad; the most promising first."""
 
 
 class Scaling(NamedTuple):

@@ -29,8 +29,7 @@ _NODES = 256
 """Nodes of a half-cycle; with this number the third harmonic is right within 1e-4 of itself."""
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-10
 """Most iterations of the next amplitude and of the air's work, and the relative change of the amplitude at
-which they end: each reduces the change by the ratio of moment to weight, mostly below 1 %.
-"""
+which they end: each reduces the change by the ratio of moment to weight, mostly below 1 %."""
 _AMPLITUDES, _HIGHEST_RATIO = 8, 1.02
 """Number of amplitudes at which a law is computed, and the highest of them over the highest of the data."""
 _SAMPLES = 256
@@ -51,11 +50,8 @@ def _move(
     end: Floats,
     speed: Floats,
 ) -> float:
-    """Replace speeds (n, nodes) and last amplitudes `end` (n, 1) of half-swings by what the moments leave.
-
-    Returns the largest relative change of `end`; infinite where a pendulum is held. `whole` and `part` are
-    the cells of the nodes, and their first halves, over half of a swing.
-    """
+    """Replace speeds (n, nodes) and last amplitudes `end` (n, 1) of half-swings by what the moments leave;
+    return the largest relative change of `end`, infinite where a pendulum is held."""
     work = np.empty(len(whole))
     largest = 0.0
     for i in range(len(phi)):
@@ -101,10 +97,7 @@ def free_swing(
 
     `values` are the law's parameters by key in SI units, and optionally ``drag_s`` and `BOUNDARY_LAYER_DRAG`.
 
-    Raises
-    ------
-    DataError
-        The pendulum does not reach the last turning point, or its period is not positive.
+    Raises DataError where the pendulum does not reach the last turning point, or its period is not positive.
     """
     if not values["period0_s"] > 0.0:
         raise DataError(f"the period is {values['period0_s']:g} s; it must be positive")
@@ -149,10 +142,7 @@ def law_harmonics(
     They are fitted with the terms with which `HarmonicsMeasurement` measures pieces of `PIECE_HALF_CYCLES`,
     at a few amplitudes, and interpolated.
 
-    Raises
-    ------
-    DataError
-        The pendulum does not swing for so long, or large swings fall below small ones.
+    Raises DataError where the pendulum does not swing for so long, or large swings fall below small ones.
     """
     # here, because it would slow down every command
     from scipy.interpolate import CubicSpline
@@ -169,10 +159,8 @@ def law_harmonics(
 
 
 def _interpolate(swing: FreeSwing, phases: Floats) -> Floats:
-    """Deflections of every swing at its own rising phases (amplitudes, m), by Hermite's cubics.
-
-    All swings at once: as splines of scipy they cost as much as the swings themselves.
-    """
+    """Deflections of every swing at its own rising phases (amplitudes, m), by Hermite's cubics: as splines of
+    scipy they cost as much as the swings themselves."""
     width = np.diff(swing.phase, axis=1)
     rise = np.diff(swing.phi_rad, axis=1) / width
     begin = swing.slope_rad[:, :-1]
@@ -226,8 +214,7 @@ class ExpectedDrag:
     width_m: float
     assumed: tuple[str, ...] = ()
     """Names of the quantities that were neither measured nor stated: usual air (20 degrees Celsius, 50 %,
-    101325 Pa), and a bar that follows from the pendulum's inertia.
-    """
+    101325 Pa), and a bar that follows from the pendulum's inertia."""
 
 
 def expected_drag_s(air: Air, bar: UniformBar, pendulum: PendulumOnBall, period_s: float) -> float:

@@ -1,9 +1,8 @@
 """Half-cycles of any law as a table over ln A, and free decays by iteration of that table.
 
-A law without memory (`memoryless`) or one that depends on the last reversal (`hysteresis`) gives for each
-amplitude A the next amplitude and the duration of the half-cycle from it (the half-cycle map), with their
-derivatives with respect to the map's parameters. A free decay goes through these half-cycles from its first
-amplitude; where the ground moves the pendulum, the filter goes from any amplitude to the next.
+A law gives for each amplitude the next amplitude and the duration of the half-cycle from it (the half-cycle
+map), with their derivatives with respect to the map's parameters. A free decay goes through these half-cycles
+from its first amplitude; where the ground moves the pendulum, the filter goes from any amplitude to the next.
 
 Angles are in units of a reference amplitude, times in units of T0. The last of the map's parameters is the
 first amplitude, on which no half-cycle depends (`Coordinates.map_parameters`).
@@ -22,8 +21,7 @@ TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where the range of a decay is not known."""
 _MAX_GROWTH = 2.0
 """Largest amplitude over the first one at which a decay is continued: an oscillation that grows by more is
-none.
-"""
+none."""
 
 
 class PredictedTurningPoints(NamedTuple):
@@ -82,8 +80,7 @@ class HalfCycleTable(NamedTuple):
     cubics: Floats
     """Coefficients (4, knots - 1, 2 + 2 k), the highest power first, of cubic polynomials in ln A minus the
     lower knot. They give the next amplitude over A, the duration (T0), then the derivatives of each with
-    respect to the parameters at fixed A.
-    """
+    respect to the parameters at fixed A."""
 
     @classmethod
     def of(cls, log_a: Floats, rows: Floats, min_finite: int, extra_low: int) -> "HalfCycleTable | None":

@@ -39,19 +39,15 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
 def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -> Material:
     """A material by its name; `others`, defined by the user, take precedence over the paper's.
 
-    Raises
-    ------
-    ConfigurationError
-        Unknown name; the message lists the known ones.
+    Raises ConfigurationError for an unknown name.
     """
-    if name in others:
-        return others[name]
-    if name in MATERIALS:
-        return MATERIALS[name]
-    known = ", ".join(sorted({*others, *MATERIALS}))
-    raise ConfigurationError(
-        f"unknown material {name!r}: take one of {known}, or define it with its elastic constants"
-    )
+    known = {**MATERIALS, **others}
+    if name not in known:
+        raise ConfigurationError(
+            f"unknown material {name!r}: take one of {', '.join(sorted(known))}, or define it with its "
+            "elastic constants"
+        )
+    return known[name]
 
 
 def contact_radius(force_n: float, ball_radius_m: float, ball: Material, flat: Material) -> float:
@@ -68,10 +64,10 @@ def pendulum_on_ball(
     *,
     gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2,
 ) -> PendulumOnBall:
-    """The pendulum with its contact radius from Hertz's theory.
+    """The pendulum with its contact radius from Hertz's theory; for two balls with half the mass.
 
-    For two balls pass half the mass. The moments of Eqs. 1 and 3 are then those of one ball; their ratio to
-    m g R, on which alone the motion depends, is the same.
+    The moments of Eqs. 1 and 3 are then those of one ball; their ratio to m g R, on which alone the motion
+    depends, is the same.
     """
     radius_m = contact_radius(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
     return PendulumOnBall(mass_kg, ball_radius_m, radius_m, gravity_m_per_s2)

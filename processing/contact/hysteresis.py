@@ -1,23 +1,11 @@
 """Half-cycles of a law with hysteresis, whose moment depends on the last reversal.
 
-In a decay the amplitude falls from reversal to reversal, so that only the last reversal matters. A branch is
-the motion from one reversal to the next. From a reversal at the amplitude A the resisting moment, over m g R,
-is a function of the distance s = A - phi and of the moment at the reversal; at the end of the branch it is
-the moment at the next reversal. The kinetic energy after the distance s is, over m g R and in units of the
-reference,
-
-    v^2/2 = s [A - s/2 - L(s)],      L(s) = 1/s integral_0^s (resistance) ds'
-
-so that the next reversal lies at s = 2 r with A - r = L(2r). With s = r (1 - cos theta), the factor
-
-    G = v^2 / (r sin theta)^2 = 1 + 2 [L(2r) - L(s)] / (2r - s)
-
-is smooth at both ends except for fractional powers of s, which the substitution theta = pi w^3 smooths. The
-half-cycle lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0. A linear drag adds ``drag r^2 integral
-sin^2 sqrt(G) dtheta`` to the work, found by iteration.
-
-The moment at a reversal is taken as a function of the amplitude, too. At a constant amplitude it would be
-that of a closed loop. The amplitudes fall slowly, and the moment at the end of a branch gives a correction.
+With L(s), the mean resistance (over m g R) over the distance s = r (1 - cos theta) from a reversal at the
+amplitude A, the next reversal lies at s = 2 r with ``A - r = L(2r)``. The half-cycle lasts
+``integral dtheta / (2 pi sqrt(G))`` in units of T0 with ``G = 1 + 2 [L(2r) - L(s)] / (2r - s)``; the
+substitution theta = pi w^3 smooths fractional powers of s at both ends. A linear drag adds
+``drag r^2 integral sin^2 sqrt(G) dtheta`` to the work. The moment at a reversal is that of a closed loop of
+this amplitude, corrected by the moment at the end of a branch, since amplitudes fall slowly.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -44,21 +32,19 @@ _RELATIVE_STEP = 1e-5
 """Relative step of the numerical derivatives with respect to the parameters."""
 _MAX_WORK_ITERATIONS, _MAX_NEWTON_ITERATIONS, _MAX_SPEED_ITERATIONS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, and of the speed with a drag; mostly 5, 5 and 6 are
-needed. A search also tries values for which one amplitude of many never converges: all would wait for it.
-"""
+needed. A search also tries values for which one amplitude of many never converges: all would wait for it."""
 
 
 class Branch(NamedTuple):
-    """The contact's moment over m g R from one reversal on, as functions of arrays.
+    """The contact's moment over m g R from one reversal to the next, as functions of arrays.
 
-    Angles are in units of a reference, which divides moments, too. The parameters q by key include
-    ``reference``, the unit of angles in rad.
+    In a decay only the last reversal matters. Angles are in units of a reference, which divides moments, too.
+    The parameters q by key include ``reference``, the unit of angles in rad.
     """
 
     resistance: Callable[[Floats, Floats, Arrays], Floats]
     """Moment against the motion, negative if the contact pushes: function of the distance from the reversal,
-    the moment there, and q.
-    """
+    the moment there, and q."""
     mean_resistance: Callable[[Floats, Floats, Arrays], Floats]
     """Mean of `resistance` over the distance, a function of the same."""
     reversal_moment: Callable[[Floats, Arrays], Floats]
@@ -69,10 +55,8 @@ class Branch(NamedTuple):
     def moments(
         self, phi_rad: Floats, direction: Floats, values: Arrays, pendulum: PendulumOnBall
     ) -> BranchMoments:
-        """Moments over a closed loop between the largest deflection and its opposite.
-
-        The mean resistance of both directions is friction, half their difference is the elastic moment.
-        """
+        """Moments over a closed loop between the largest deflection and its opposite: the mean resistance of
+        both directions is friction, half their difference is the elastic moment."""
         amplitude = np.max(np.abs(phi_rad), axis=-1, keepdims=True)
         q = {**values, "reference": np.ones(())}
         # a fit may leave a parameter so small that its quotients overflow
@@ -114,8 +98,7 @@ class _QuadraturePoints(NamedTuple):
     """Weights for integration over theta."""
     drag_work_matrix: Floats
     """Maps sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'`` over `distance_fraction`. Only
-    the root is interpolated, so that no digits are lost near the reversal.
-    """
+    the root is interpolated, so that no digits are lost near the reversal."""
 
 
 @lru_cache(maxsize=1)
@@ -139,10 +122,8 @@ def _nodes() -> _QuadraturePoints:
 def _half_cycle(
     branch: Branch, amplitude: Floats, turn_moment: Floats, q: Arrays
 ) -> tuple[Floats, Floats, Floats]:
-    """Next amplitude, duration (T0) and moment at the next reversal; NaN where the pendulum sticks.
-
-    `amplitude` and `turn_moment` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
-    """
+    """Next amplitude, duration (T0) and moment at the next reversal, (sets, amplitudes) for parameters
+    (sets, 1); NaN where the pendulum sticks."""
     nodes = _nodes()
     drag, constant = q[_DRAG], q[branch.constant] if branch.constant else 0.0
     radius, drag_work = amplitude.copy(), np.zeros_like(amplitude)  # work of the drag over drag r^2
@@ -240,10 +221,7 @@ def branch_law(
     valley_coordinates: ValleyCoordinates,
     propose_starts: StartProposal,
 ) -> Law:
-    """The law with hysteresis of a branch; `Coordinates` describes the last three arguments.
-
-    The linear drag of `DRAG` may be one of the parameters.
-    """
+    """The law with hysteresis of a branch; `Coordinates` describes the last three arguments."""
     own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
 
     def moments(

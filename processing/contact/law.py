@@ -62,33 +62,24 @@ def weight_moment(pendulum: PendulumOnBall) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number that a fit determines.
-
-    Attributes
-    ----------
-    key
-        Name in results.json; it ends in the SI unit, if there is one.
-    symbol, unit
-        Symbol in tables and figures, and SI unit, "1" for a plain number.
-    lower, upper
-        Range in which a value makes sense. An interval is not extended beyond it; a fit may still return a
-        value below a lower limit of 0, so that a quantity that is truly 0 is estimated without bias.
-    logarithmic
-        The scatter of a positive value is nearly normal in its logarithm, not in the value itself:
-        intervals are taken about the logarithm.
-    shown
-        Unit of tables and figures; empty: the SI unit.
-    """
+    """One number that a fit determines."""
 
     key: str
+    """Name in results.json; it ends in the SI unit, if there is one."""
     symbol: str
     unit: str
+    """SI unit; "1" for a plain number."""
     description: str
     source: str
     lower: float = -inf
+    """Lower end of the values that make sense. An interval is not extended beyond it; a fit may still return
+    a value below a limit of 0, so that a quantity that is truly 0 is estimated without bias."""
     upper: float = inf
     logarithmic: bool = False
+    """The scatter of a positive value is nearly normal in its logarithm, not in the value itself: intervals
+    are taken about the logarithm."""
     shown: str = ""
+    """Unit of tables and figures; empty: the SI unit."""
 
     @property
     def quantity(self) -> Quantity:
@@ -144,34 +135,24 @@ class HeldColumn(NamedTuple):
 
 @dataclass(frozen=True)
 class Law:
-    """One law of the contact.
-
-    Attributes
-    ----------
-    name
-        Key in the registry and in results.json.
-    title, source
-        Description of the law and its reference, for display.
-    parameters
-        Parameters of the law, in the order used by fits and tables.
-    branch_moments
-        Function of the deflections (rad), the sign of phi', the parameters by key and the pendulum, which
-        returns the moments.
-    table
-        Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
-        returns the half-cycles in that range.
-    coordinates
-        Function of the turning points, the pendulum, the keys of the fit (`fit_names`) and the start values
-        of columns that are not the law's, which returns the solver's coordinates.
-    """
+    """One law of the contact."""
 
     name: str
+    """Key in the registry and in results.json."""
     title: str
     source: str
+    """Its reference in the literature."""
     parameters: tuple[Parameter, ...]
+    """In the order of fits and tables."""
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
+    """Function of the deflections (rad), the sign of phi', the parameters by key and the pendulum, which
+    returns the moments."""
     table: TableMaker
+    """Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
+    returns the half-cycles in that range."""
     coordinates: Callable[..., "Coordinates"]
+    """Function of the turning points, the pendulum, the keys of the fit (`fit_names`) and the start values of
+    columns that are not the law's, which returns the solver's coordinates."""
 
     def turning_points(self, parameters: Floats, numbers: Ints) -> PredictedTurningPoints:
         """Turning points of a free decay, for the map's parameters and rising half-cycle numbers, from 0."""
@@ -194,12 +175,6 @@ class Law:
         return (*self.names(drag=drag), AMPLITUDE.key, TIME.key)
 
     def parameter(self, key: str) -> Parameter:
-        """Any parameter of a fit of this law by its key.
-
-        Raises
-        ------
-        KeyError
-            The law has no such parameter.
-        """
+        """Any parameter of a fit of this law by its key; raises KeyError where there is none."""
         known = (*self.parameters, DRAG, AMPLITUDE, TIME)
         return {parameter.key: parameter for parameter in known}[key]

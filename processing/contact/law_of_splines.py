@@ -104,10 +104,8 @@ class MomentSplines:
 def work_over_log(
     log_x: Floats, moment: Callable[[Floats], Floats], first_work: Callable[[Floats], Floats]
 ) -> "CubicHermiteSpline":
-    """The integral of moments (..., m) over x from 0, as a function of ln x.
-
-    It is computed by Gauss's rule between evenly rising `log_x`; `first_work` is the integral to the first x.
-    """
+    """The integral of moments (..., m) over x from 0, as a function of ln x, by Gauss's rule between evenly
+    rising `log_x`; `first_work` is the integral to the first x."""
     from scipy.interpolate import CubicHermiteSpline  # here, because it would slow down every command
 
     nodes, weight = np.polynomial.legendre.leggauss(5)

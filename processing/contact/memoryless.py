@@ -8,17 +8,10 @@ With D and V, the integrals of f and e from 0 (their works), a half-cycle from A
 
 and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, with x = A cos theta and
 
-    G = 1 - 2 [V(A) - V(x) +- (D(A) - D(x))] / (A sin theta)^2
+    G = 1 - 2 [V(A) - V(x) +- (D(A) - D(x))] / (A sin theta)^2      (+ after the turning point, - before it)
 
-(+ after the turning point, - before it). The drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)``
-in each quarter, and changes G by twice that over ``sin^2 theta``, with the integral up to theta.
-
-The substitution ``x = A cos(theta)`` removes the square-root singularity of the duration at the turning
-point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta = (pi/2) v^3``
-smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
-
-A law states f, e, D and V, and the derivatives of D and V with respect to its parameters; those of a
-half-cycle follow. Angles and the moments over m g R are in units of a reference.
+The drag takes ``drag A^2 integral sin^2 sqrt(G) dtheta`` in each quarter. Fractional powers of |phi| leave a
+singularity at the zero crossing, which ``pi/2 - theta = (pi/2) v^3`` smooths for a Gauss-Legendre rule in v.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -59,12 +52,12 @@ _DERIVATIVE_TOLERANCE = 1e-9
 """Relative change at which the iteration of derivatives with respect to a drag ends."""
 _MAX_AMPLITUDE_ITERATIONS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
-end: each reduces the change by a hundredth of the drag's moment.
-"""
+end: each reduces the change by a hundredth of the drag's moment."""
 
 
 class Moment(NamedTuple):
-    """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape."""
+    """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape, in units of a
+    reference."""
 
     parameter_indices: tuple[int, ...]
     """Indices of the moment's parameters among those of the map."""
@@ -85,8 +78,7 @@ class Moments(NamedTuple):
 
 MomentsFunction = Callable[[Floats, float, float], Moments | None]
 """Function (parameters, lowest, highest) of a law that gives its moments between two angles, for the map's
-parameters without the first amplitude (`Coordinates.map_parameters`); None if these have none.
-"""
+parameters without the first amplitude (`Coordinates.map_parameters`); None if these have none."""
 
 
 class _QuarterNodes(NamedTuple):
@@ -99,8 +91,7 @@ class _QuarterNodes(NamedTuple):
     sin_square: Floats
     drag_work_matrix: Floats
     """Square matrix that maps f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the
-    work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
-    """
+    work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point."""
 
 
 @lru_cache(maxsize=1)
@@ -124,14 +115,12 @@ def _quarter_nodes() -> _QuarterNodes:
 
 
 class _Quarter(NamedTuple):
-    """Quarters of a period from or to turning points.
-
-    Derivatives have a first axis of the friction's parameters, the elastic moment's, the drag, and ln A.
-    """
+    """Quarters of a period from or to turning points."""
 
     time: Floats
     """Durations in T0."""
     time_derivatives: Floats
+    """Their first axis: the friction's parameters, the elastic moment's, the drag, and ln A."""
     drag_work: Floats
     """Work of the drag over ``drag A^2``."""
     drag_work_derivatives: Floats
@@ -189,10 +178,7 @@ def _quarter(
 def _end_amplitudes(
     moments: Moments, highest: Floats, energy: Floats, drag_work: Floats, start: Floats | None = None
 ) -> Floats:
-    """Amplitudes A' below `highest` at which A'^2/2 - V + D + drag_work A'^2 is `energy`, or NaN.
-
-    The search begins at `start`, or at the highest.
-    """
+    """Amplitudes A' below `highest` at which A'^2/2 - V + D + drag_work A'^2 is `energy`, or NaN."""
     friction, elastic = moments.friction, moments.elastic
     x = highest if start is None else np.where(np.isfinite(start), start, highest)
     for _ in range(_MAX_ITERATIONS):

@@ -2,14 +2,7 @@
 
 Hertz leaves adhesion out. The adhesion that resists rolling (c of Eq. 1) also pulls the surfaces together, so
 that the spot is larger and the surface energy, which is c over the spot's area, is smaller. Both are computed
-together, by iteration. With the work of adhesion w = 2 sigma (two equal surfaces are separated), the reduced
-modulus K = 4/3 / (sum of (1 - nu^2)/E) and the load F:
-
-    Hertz             a^3 = F R / K
-    DMT               a^3 = (F + 2 pi w R) R / K
-    JKR               a^3 = (F + 3 pi w R + sqrt(6 pi w R F + (3 pi w R)^2)) R / K
-    Maugis-Dugdale    between these, for the Tabor parameter mu = (R w^2 / (E*^2 z0^3))^(1/3), E* = 3 K / 4
-
+together, by iteration, with the work of adhesion w = 2 sigma: two equal surfaces are separated.
 Sources: Johnson, Kendall & Roberts 1971; Derjaguin, Muller & Toporov 1975; Tabor 1977; Maugis 1992.
 """
 
@@ -142,8 +135,7 @@ ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
 _MAUGIS_PER_TABOR = 1.157
 """Maugis' parameter lambda over Tabor's mu, if Dugdale's step of the force has the work and the peak force of
-Lennard-Jones'.
-"""
+Lennard-Jones'."""
 _MIN_TABOR_JKR = 5.0
 _MAX_TABOR_DMT = 0.1
 """Tabor parameters above which JKR, and below which DMT holds (Johnson & Greenwood 1997)."""
@@ -159,7 +151,13 @@ class AdhesiveContact:
 
 @dataclass(frozen=True, slots=True)
 class AdhesiveContacts:
-    """The contact spot by each theory."""
+    """The contact spot by each theory. With Hertz's stiffness K = F R/a^3 and the work of adhesion w,
+
+        DMT    a^3 = (F + 2 pi w R) R / K
+        JKR    a^3 = (F + 3 pi w R + sqrt(6 pi w R F + (3 pi w R)^2)) R / K
+
+    and Maugis-Dugdale between both, for the Tabor parameter ``(R w^2 / (E*^2 z0^3))^(1/3)``, E* = 3 K / 4.
+    """
 
     tabor: float
     """The Tabor parameter, which decides which theory holds."""
@@ -178,17 +176,8 @@ class AdhesiveContacts:
 def adhesive_contacts(c: float, pendulum: PendulumOnBall) -> AdhesiveContacts:
     """Contact spots and surface energies for an adhesion coefficient c of Eq. 1.
 
-    Parameters
-    ----------
-    c
-        Positive.
-    pendulum
-        With Hertz's contact radius, from which the reduced modulus follows.
-
-    Raises
-    ------
-    DataError
-        c is not positive: there is no adhesion to account for.
+    The reduced modulus follows from the pendulum's contact radius, Hertz's. Raises DataError for a c that is
+    not positive.
     """
     if not (isfinite(c) and c > 0):
         raise DataError(f"c = {c}: without adhesion the contact is Hertz's")

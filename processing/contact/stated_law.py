@@ -128,13 +128,7 @@ def _by_quadrature(
 
 
 def _starts_of(moment: StatedMoment) -> dict[str, float]:
-    """The parameters of a stated moment with their start values, the defaults in its signature.
-
-    Raises
-    ------
-    DataError
-        A parameter without a number as its default.
-    """
+    """The parameters of a stated moment with their start values, the defaults in its signature."""
     _, *parameters = inspect.signature(moment).parameters.values()
     name = getattr(moment, "__name__", "law")
     for parameter in parameters:
@@ -172,10 +166,7 @@ class StatedLaw:
     def of(self, points: TurningPoints, pendulum: PendulumOnBall, paper_values: Mapping[str, float]) -> Law:
         """The law of one decay; the parameters of the paper's law fitted to it give start values.
 
-        Raises
-        ------
-        DataError
-            A parameter without a start value, or a moment without finite values there.
+        Raises DataError for a parameter without a start value, or a moment without finite values there.
         """
         return _law(self, points, pendulum, paper_values)
 

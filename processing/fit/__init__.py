@@ -2,8 +2,8 @@
 
 from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.changes import fit_with_knocks, with_changes
 from processing.fit.determination import Determination, identifiability
-from processing.fit.discrepancy import with_changes, with_discrepancy
 from processing.fit.drag import Drag, DragFinding, MeasuredAir, VanedRun, air_of_vanes, drag_verdict
 from processing.fit.effects import (
     DRIFTS,
@@ -25,9 +25,8 @@ from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, wavefo
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
-from processing.fit.knocks import fit_with_knocks
 from processing.fit.known_drive import LEAST_UNEXPLAINED, Seismogram, Signals, plain_signals
-from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free
+from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free, with_discrepancy
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.refinement import (
     DecayFit,

@@ -105,7 +105,7 @@ def fit_asymptotic(
 
     values, to_physical = differenced(physical)(np.concatenate([decay.values, period.values]))
     scatter = np.zeros((k + 3, k + 3))
-    if exact is None or exact.ground is None or exact.ground.noise.at_rest:
+    if exact is None or exact.ground_fit.noise.at_rest:
         scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
         # overlapping full periods share turning points and are correlated; the turning times are independent
         by_time = _by_turning_time(period, points, periods)
@@ -164,11 +164,8 @@ def fit_asymptotic(
 
 
 def _bias(exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall) -> dict[str, float] | None:
-    """Bias of both equations: their parameters for the exact fit's free decay, less those of the exact fit.
-
-    The decay is taken at the half-cycles of `points`, with their uncertainties as weights. None if the
-    equations cannot be fitted to it.
-    """
+    """Parameters of both equations for the exact fit's free decay at the half-cycles of `points`, less those
+    of the exact fit; None if the equations cannot be fitted to it."""
     model, coordinates = ExactModel.of(points, pendulum, exact)
     amplitude, time_s, _, _ = model.curve(coordinates)
     # a driven pendulum swings for longer than the free one would
@@ -223,22 +220,12 @@ def _driven_covariance(
     pendulum: PendulumOnBall,
     exact: FitResult,
 ) -> Floats:
-    """Covariance of values that depend linearly on the turning points of a driven pendulum.
+    """Covariance of values with the derivatives (half-cycles, values) by the measured amplitudes and times.
 
     A least-squares fit takes the errors of turning points as independent, but a step of the drive moves all
     later ones.
-
-    Parameters
-    ----------
-    by_amplitude, by_time
-        (half-cycles, values) derivatives of the values with respect to the measured amplitudes and times.
-    points
-        The turning points that `exact` was fitted to.
-    exact
-        The exact fit of `points`, with the drive of the ground that it found.
     """
-    assert exact.ground is not None
-    noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
+    noise, rate = exact.ground_fit.noise, 2 * np.pi / exact.mean_period_s.value
     model, coordinates = ExactModel.of(points, pendulum, exact)
     _, _, amplitude_jacobian, time_jacobian = model.curve(coordinates)
     # derivatives of all amplitudes and times with respect to the first amplitude
@@ -246,7 +233,6 @@ def _driven_covariance(
     time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
 
     def sums_to_end(values: Floats) -> Floats:
-        """Sums over each turning point and all later ones."""
         return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
     by_time_step = sums_to_end(by_time)

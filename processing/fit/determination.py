@@ -56,10 +56,7 @@ class Determination(NamedTuple):
 
 
 class _ConditionalModel:
-    """The exact model with one physical parameter held fixed, and therefore one coordinate less.
-
-    `guess` is the missing coordinate at the last values, from which the search for the next one begins.
-    """
+    """The exact model with one physical parameter held fixed, and therefore one coordinate less."""
 
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
@@ -68,7 +65,7 @@ class _ConditionalModel:
         self._is_logarithmic = model.law.parameter(name).logarithmic and is_positive
         self.missing, self._keeps_sign = model.parametrisation.held(name)
         self.free = np.delete(np.arange(len(model.lower)), self.missing)
-        self.guess = float(best[self.missing])
+        self.guess = float(best[self.missing])  # at the last values, where the next search begins
 
     def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
         """All coordinates, the missing one by Newton's method, and its derivatives by the others."""
@@ -171,9 +168,7 @@ def profile_likelihood(
     value, u = result.estimate(name)
     if not np.isfinite(u):
         u = abs(value) or 1.0
-    scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    u_inflation = 1.0 if result.u_inflation is None else float(result.u_inflation[result.names.index(name)])
-    scale *= u_inflation**2
+    scale = result.scatter2 * float(result.inflation[result.names.index(name)]) ** 2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     conditional = _ConditionalModel(model, name, best)
     low_end, high_end = model.lower[conditional.free], model.upper[conditional.free]

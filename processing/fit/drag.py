@@ -48,38 +48,29 @@ class DragFinding(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drag:
-    """Whether a linear drag is in the data, and what it does to b and c.
-
-    Attributes
-    ----------
-    drag_s
-        Drag of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
-    of_data_s
-        Drag from decay and waveform alone; not determined where a drag could be all of the friction.
-        Where chi2 is not a parabola, the uncertainty agrees with the test:
-        infinite if the decay is described equally well without a drag.
-    known_s
-        Prior knowledge: the estimate for air, or a measured value; None if left open.
-    upper_95_s
-        Bound of 95 % from the data alone; infinite if they set none.
-    f_statistic, p_value
-        Rise of chi2 without the drag, over the scatter, and its probability if there is no drag.
-    relative_shift_b, relative_shift_c
-        Relative change of b and c from a fit without drag to one with it.
-    of_air
-        The drag expected of the air; None if not requested.
-    """
+    """Whether a linear drag is in the data, and what it does to b and c."""
 
     drag_s: Estimate = NOT_DETERMINED
+    """Drag of the reported fit, with prior knowledge; for a fit in vacuum, from the data."""
     of_data_s: Estimate = NOT_DETERMINED
+    """Drag from decay and waveform alone; not determined where a drag could be all of the friction. Where
+    chi2 is not a parabola, the uncertainty agrees with the test: infinite if the decay is described equally
+    well without a drag."""
     known_s: Estimate | None = None
+    """Prior knowledge: the estimate for air, or a measured value; None if left open."""
     upper_95_s: float = inf
+    """Bound of 95 % from the data alone; infinite if they set none."""
     f_statistic: float = nan
+    """Rise of chi2 without the drag, over the scatter."""
     p_value: float = nan
+    """Probability of such a rise if there is no drag."""
     relative_shift_b: float = nan
+    """Relative change of b from a fit without drag to one with it."""
     relative_shift_c: float = nan
+    """The same of c."""
     finding: DragFinding = DragFinding.OPEN
     of_air: ExpectedDrag | None = None
+    """The drag expected of the air; None if not requested."""
 
     @property
     def significant(self) -> bool:
@@ -130,26 +121,22 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult
 
 
 def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Drag | None:
-    """The verdict on a decay that cannot tell a drag from friction at all; None where fits must decide.
-
-    By one linear step from the fit without a drag: F is likely by chance, and with a drag b is as uncertain
-    as it is large.
-    """
+    """The verdict where one linear step from the fit without a drag leaves b as uncertain as it is large,
+    with an F that is likely by chance: the decay cannot tell a drag from friction. None elsewhere."""
     from scipy.special import fdtrc
 
     model = ExactModel(points.first(fit.half_cycles), pendulum, law=fit.law, drag=True, evidence=fit.evidence)
     start = next(start_near(model, fit), None)
-    if start is None or fit.ground is None:
+    if start is None:
         return None
-    weighted = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale)
+    weighted = model.on_ground(start, model.noise_of(fit), fit.ground_fit.measurement_scale)
     residuals, jacobian = weighted.linearised_at(start)(start)
     step, to_physical = FactoredJacobian(jacobian), model.parametrisation.physical(start)[1]
-    scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
     unexplained = step.residual(residuals)
-    f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / scale
+    f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / fit.scatter2
     p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
     b = model.names.index(fit.contact_names[0])
-    u_b = sqrt(propagate(to_physical, step.covariance())[b, b] * scale)
+    u_b = sqrt(propagate(to_physical, step.covariance())[b, b] * fit.scatter2)
     if p_value < _FIT_BELOW_CHANCE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
         return None
     return Drag(f_statistic=f_statistic, p_value=p_value)
@@ -166,9 +153,7 @@ def _test(
     from scipy.special import fdtrc, stdtrit
 
     value, u = by_data.estimate(DRAG.key)
-    scale = max(1.0, by_data.chi2_per_dof) if by_data.loss == "linear" else 1.0
-    if by_data.u_inflation is not None:
-        scale *= float(by_data.u_inflation[by_data.names.index(DRAG.key)]) ** 2
+    scale = by_data.scatter2 * float(by_data.inflation[by_data.names.index(DRAG.key)]) ** 2
     f_statistic = max(0.0, 2 * (without.cost - by_data.cost)) / scale
     p_value = float(fdtrc(1, by_data.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(by_data.dof, 0.95)) * u if u < inf else inf
@@ -187,10 +172,9 @@ def _at_least_as_uncertain(by_data: FitResult, fit: FitResult) -> FitResult:
     """The fit of the data alone, its uncertainties enlarged at least as much as those of the reported fit."""
     if by_data is fit or fit.u_inflation is None or len(fit.u_inflation) != len(by_data.names):
         return by_data
-    own = np.ones(len(by_data.names)) if by_data.u_inflation is None else by_data.u_inflation
-    u_inflation = np.maximum(fit.u_inflation, own)
-    more = np.outer(u_inflation / own, u_inflation / own)
-    return replace(by_data, u_inflation=u_inflation, covariance=by_data.covariance * more)
+    u_inflation = np.maximum(fit.u_inflation, by_data.inflation)
+    more = u_inflation / by_data.inflation
+    return replace(by_data, u_inflation=u_inflation, covariance=by_data.covariance * np.outer(more, more))
 
 
 def _relative_shift(value: float, shifted: float) -> float:
@@ -235,35 +219,28 @@ class VanedRun:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredAir:
-    """The drag without vanes, from runs with several areas.
-
-    Attributes
-    ----------
-    drag_s, drag_per_area_s_per_m2
-        d0, and k.
-    contact
-        The contact's parameters from all runs together.
-    run_drags_s, residuals_s
-        The drag of each run with the contact of all, and that minus the line.
-    chi2, dof, p_value
-        Rise of chi2 by one contact and one line over separate fits of the runs, its degrees of freedom and
-        its probability.
-    u_inflation
-        Factor by which the uncertainties are larger for that rise: the root of chi2/dof, at least 1. A run
-        estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise shows
-        this for all runs together. Over 42 sets of runs on weak ground the rms error is then 0.9 u of d0 and
-        1.05 u of k, but still 1.4 u of n and gamma.
-    """
+    """The drag without vanes, from runs with several areas."""
 
     drag_s: Estimate
+    """d0."""
     drag_per_area_s_per_m2: Estimate
+    """k."""
     contact: Mapping[str, Estimate]
+    """The contact's parameters from all runs together."""
     run_drags_s: tuple[Estimate, ...]
+    """The drag of each run with the contact of all."""
     residuals_s: tuple[float, ...]
+    """These minus the line."""
     chi2: float
+    """Rise of chi2 by one contact and one line over separate fits of the runs."""
     dof: int
     p_value: float
+    """Probability of so large a rise if the runs share one contact and one line."""
     u_inflation: float
+    """Factor by which the uncertainties are larger for that rise: the root of chi2/dof, at least 1. A run
+    estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise shows this
+    for all runs together. Over 42 sets of runs on weak ground the rms error is then 0.9 u of d0 and 1.05 u of
+    k, but still 1.4 u of n and gamma."""
 
     @property
     def disagree(self) -> bool:
@@ -284,17 +261,13 @@ class _RunModel(NamedTuple):
     def of(cls, run: VanedRun, pendulum: PendulumOnBall) -> "_RunModel":
         model, coordinates = ExactModel.of(run.points, pendulum, run.fit)
         scale = max(1.0, run.fit.chi2_per_dof) ** 0.5
-        if run.fit.u_inflation is not None:
-            scale *= float(run.fit.u_inflation[run.fit.names.index(DRAG.key)])
+        scale *= float(run.fit.inflation[run.fit.names.index(DRAG.key)])
         return cls(run, model, coordinates, scale)
 
 
 class _SharedParameters:
-    """The parameters of all runs in the solver's units, in which each is of the order of 1.
-
-    First those of the contact (`_COMMON`, ln b and gamma at the reference amplitude), d0 and k; then for each
-    run T0, first amplitude and first time.
-    """
+    """The parameters of all runs in units in which each is of the order of 1: those of the contact, `_COMMON`
+    (ln b and gamma at the reference amplitude), d0 and k, then those of each run, `_OWN`."""
 
     def __init__(self, runs: Sequence[_RunModel]) -> None:
         self.runs, self.count = runs, _AIR + 2
@@ -371,10 +344,8 @@ def _line(area_m2: float) -> Floats:
 def air_of_vanes(runs: Sequence[VanedRun], pendulum: PendulumOnBall) -> MeasuredAir:
     """The drag of the pendulum itself, from runs with different vanes.
 
-    Raises
-    ------
-    DataError
-        Fewer than two areas, a fit that is not exact, has no drag or a prior of it, or no convergence.
+    Raises DataError for fewer than two areas, a fit that is not exact, has no drag or a prior of it, or no
+    convergence.
     """
     from scipy.special import chdtrc
 

@@ -1,23 +1,10 @@
 """Effects on a fit that has ended, each a term: drifts, a boundary layer's drag, errors of the sensor.
 
 A friction that ages evenly is not seen in one decay: amplitude and time fall together, and an exponent takes
-up the effect of the age. The effect of such drifts on the parameters follows from the map, for a budget.
-
-A boundary layer's drag, with the 3/2 power of the speed, takes ``I A^1.5`` from the amplitude in a
-half-swing, I the integral of ``sin^2.5``, and makes a small third harmonic within the swing, which the exact
-path of the moment gives.
-
-A fixed-pattern position error of the sensor moves the amplitudes of all half-cycles that pass it. Residuals
-of whole cycles show it, except for the part that looks like a motion (`processing.position_map`). Of that
-part, the fitted law shows the share that no decay could produce.
-
-Rows that are exposed in turn delay a spot by its place. Turning points lie on rows above and below that of
-rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
-pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
-Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
-second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. A
-pendulum that rests beside the middle of its contact has another second harmonic, by which its times alternate
-more, the smaller the amplitude.
+up the effect of the age. Rows that are exposed in turn delay a spot by its place: times of turning points on
+either side alternate in proportion to the amplitude, which no motion of the pendulum does. Those of a
+pendulum that rests beside the middle of its contact alternate more, the smaller the amplitude. Either
+alternation is taken off the times.
 """
 
 from collections.abc import Callable, Mapping
@@ -41,7 +28,6 @@ from processing.fit.result import (
 )
 from processing.fit.terms import DrivenRows, LinearisedFit, Term, TermSolution, solve
 from processing.fit.uncertainty import RigQuantities
-from processing.least_squares import FactoredJacobian
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, PieceHarmonics, TurningPoints
@@ -121,7 +107,8 @@ _BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
 def boundary_layer_drag(linearised: LinearisedFit) -> BoundaryLayerDrag:
     """A boundary layer's drag in addition to the linear drag of an exact fit, by one linear step.
 
-    Raises DataError where the law predicts no waveform.
+    It takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of ``sin^2.5``, and makes a small
+    third harmonic within the swing. Raises DataError where the law predicts no waveform.
     """
     from scipy.special import fdtrc
 
@@ -136,9 +123,7 @@ def boundary_layer_drag(linearised: LinearisedFit) -> BoundaryLayerDrag:
     )
     solution = linearised.solve_terms(Term(BOUNDARY_LAYER, derivatives))
     # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
-    scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
-    u_inflation = 1.0 if fit.u_inflation is None else float(np.max(fit.u_inflation))
-    u = sqrt(solution.covariance[0, 0]) * u_inflation * scatter / linearised.scale
+    u = sqrt(solution.covariance[0, 0] * fit.scatter2) * float(np.max(fit.inflation)) / linearised.scale
     if not 0 < u < inf:
         return BoundaryLayerDrag()
     shift = linearised.to_physical @ solution.law_shift
@@ -199,7 +184,8 @@ class PositionErrorFit(NamedTuple):
 def fit_position_errors(linearised: LinearisedFit, errors: Floats) -> PositionErrorFit:
     """Errors and parameters that together describe the turning points best, near an exact fit.
 
-    `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
+    `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1: the
+    part of a position error that looks like a motion, of which the law shows what no decay could produce.
     """
     errors = errors[: len(linearised.points)]
     felt = np.max(np.abs(errors) / linearised.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
@@ -225,19 +211,14 @@ def sensor_derivatives(linearised: LinearisedFit, rig: RigQuantities) -> dict[st
     keep their lengths but for friction. The sign is not known, as which end comes first is not. An error that
     all amplitudes share makes each too small by the same amount.
     """
-    points, derivatives = linearised.points, {}
+    points, by_source = linearised.points, dict[str, Floats]()
     if rig.row_time_s.u > 0:
         rows = np.tan(2.0 * points.amplitude) * rig.arm_m.value / rig.pitch_m.value
         rows *= np.cos(rig.slow_angle_rad.value) * sides(points)
-        derivatives["row_time_s"] = linearised.parameter_changes(
-            linearised.residual_changes(time_s=rows[:, None])
-        )[:, 0]
+        by_source["row_time_s"] = linearised.residual_changes(time_s=rows[:, None])
     if rig.common_amplitude_rad.u > 0:
-        ones = np.ones((len(points), 1))
-        derivatives["common_amplitude_rad"] = linearised.parameter_changes(
-            linearised.residual_changes(amplitude=ones)
-        )[:, 0]
-    return derivatives
+        by_source["common_amplitude_rad"] = linearised.residual_changes(amplitude=np.ones((len(points), 1)))
+    return {name: linearised.parameter_changes(changes)[:, 0] for name, changes in by_source.items()}
 
 
 def amplitude_error_effects(linearised: LinearisedFit, errors: Floats) -> Floats:
@@ -265,15 +246,6 @@ class Alternation:
     def seen(self) -> bool:
         return self.chance < _SEEN_CHANCE
 
-    @property
-    def taken_off_text(self) -> str:
-        """Remark, in one line, on turning times that were corrected."""
-        size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
-        return (
-            "turning times at the two ends alternate as with a rolling shutter, but none is stated "
-            f"({with_uncertainty(size, u)} s/rad): this was subtracted; state shutter.row_time_s"
-        )
-
     def text(self, rad_per_px: float) -> str:
         """Remark, in one line, on a second harmonic; `rad_per_px` is the tilt that moves the spot by 1 px."""
         size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
@@ -299,13 +271,20 @@ class TimeAlternation(NamedTuple):
     @property
     def taken_off_texts(self) -> tuple[str, ...]:
         """Remarks, one line each, on turning times that were corrected."""
-        rest = with_uncertainty(*(angle_rad / ARCSEC_RAD for angle_rad in self.rest_rad))
-        of_rest = (
-            f"turning times at the two ends alternate as where the pendulum rests {rest} arcsec beside the "
-            "middle of its contact: this was subtracted, and uncertainties hold what it changes of the losses"
-        )
-        of_rows = [self.rows.taken_off_text] if self.rows.seen else []
-        return (*of_rows, *([of_rest] if self.rest_seen else []))
+        begin, texts = "turning times at the two ends alternate as", []
+        if self.rows.seen:
+            delay = with_uncertainty(abs(self.rows.delay_s_per_rad), self.rows.u_delay_s_per_rad)
+            texts.append(
+                f"{begin} with a rolling shutter, but none is stated ({delay} s/rad): this was "
+                "subtracted; state shutter.row_time_s"
+            )
+        if self.rest_seen:
+            rest = with_uncertainty(*(angle_rad / ARCSEC_RAD for angle_rad in self.rest_rad))
+            texts.append(
+                f"{begin} where the pendulum rests {rest} arcsec beside the middle of its contact: this was "
+                "subtracted, and uncertainties hold what it changes of the losses"
+            )
+        return tuple(texts)
 
 
 def _chance(value: float, u: float) -> float:
@@ -360,9 +339,8 @@ def _alternation(solution: TermSolution, dof: int) -> Alternation:
 def _late_per_rest(linearised: LinearisedFit) -> Floats:
     """Delays (points,) of measured turning points by the rest position, in s/rad; they alternate.
 
-    A friction M(|x + r|) is larger by r M'(|x|) on one side than on the other. Of b |x|^p that makes the
-    second harmonic ``(8/3 pi) p b r A^(p-1) / (p + 1) sin(2 w t)``. Half-cycles that were fitted by a swing
-    without this harmonic are late by ``4/(3 pi)`` of its shift of the turning points themselves.
+    A friction b |x + r|^p makes the second harmonic ``(8/3 pi) p b r A^(p-1) / (p + 1) sin(2 w t)``. Fits of
+    a swing without it are late by ``4/(3 pi)`` of its shift of the turning points themselves.
     """
     amplitude, loss = linearised.model.losses(linearised.coordinates)
     power, of_contact = _contact_power(linearised, amplitude, loss)
@@ -410,10 +388,7 @@ def with_rest_position(linearised: LinearisedFit, alternation: TimeAlternation, 
     rows = DrivenRows.of(linearised.model, linearised.coordinates, linearised.noise, errors).in_scatter(
         linearised.scale
     )
-    columns = rows.by_errors.sum(axis=1, keepdims=True)
-    good = np.isfinite(linearised.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-    law = FactoredJacobian(linearised.jacobian[good])
-    changes = linearised.to_physical @ law.coefficients(columns[good])
+    changes = -linearised.value_changes(rows.by_errors.sum(axis=1, keepdims=True))
     felt = np.abs(changes[:, 0]) > _MIN_FELT_U * fit.standard_uncertainty
     return fit.with_term(REST_POSITION, changes) if np.any(felt) else fit
 

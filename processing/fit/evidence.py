@@ -41,25 +41,17 @@ _OUTLIER_U = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """Odd harmonics in quadrature of the swing over a decay, with their covariance.
-
-    Attributes
-    ----------
-    amplitude_rad
-        Amplitudes (n,) of the pieces.
-    sine_rad
-        Their harmonics of orders 3, 5, 7 and 9 (n, 4).
-    covariance
-        Covariance (n, 4, 4) of each piece's harmonics: that of the samples, enlarged to the scatter of
-        neighbours, which contains the ground's part whatever its spectrum.
-    scatter
-        Ratio of the scatter to that by the stated uncertainties of the samples, as standard deviations.
-    """
+    """Odd harmonics in quadrature of the swing over a decay, with their covariance."""
 
     amplitude_rad: Floats
+    """Amplitudes (n,) of the pieces."""
     sine_rad: Floats
+    """Their harmonics of orders 3, 5, 7 and 9 (n, 4)."""
     covariance: Floats
+    """Covariance (n, 4, 4) of each piece's harmonics: that of the samples, enlarged to the scatter of
+    neighbours, which contains the ground's part whatever its spectrum."""
     scatter: float
+    """Ratio of the scatter to that by the stated uncertainties of the samples, as standard deviations."""
 
     @property
     def median_covariance(self) -> Floats:
@@ -77,10 +69,7 @@ class Waveform:
 
     @cached_property
     def _reduction(self) -> Floats:
-        """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance.
-
-        Nodes without pieces, and combinations of orders that vanish but for rounding, give no number.
-        """
+        """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance."""
         whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
         columns = np.einsum("ij,iab->iajb", self._hats, whitening).reshape(-1, nodes * orders)
@@ -92,10 +81,7 @@ class Waveform:
         return {}
 
     def predicted_rad(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
-        """Harmonics that a law predicts for `sine_rad`.
-
-        Raises DataError if the pendulum would not swing.
-        """
+        """Harmonics that a law predicts for `sine_rad`; raises DataError if the pendulum would not swing."""
         key = (pendulum, *values.items())
         cached = self._predictions.get(key)
         if cached is None or cached[0] is not law:
@@ -110,10 +96,7 @@ class Waveform:
         return np.asarray(self._reduction @ sine_rad.ravel())
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
-        """A law's harmonics minus the measured ones, as independent numbers of unit variance.
-
-        Raises DataError if the pendulum would not swing.
-        """
+        """A law's harmonics minus the measured ones, as independent numbers of unit variance."""
         return self.reduced(self.predicted_rad(law, values, pendulum) - self.sine_rad)
 
 
@@ -146,26 +129,18 @@ def _without_trend(amplitude: Floats, sine: Floats) -> Floats:
 def _scatter_of(residuals: Floats) -> Floats:
     """Covariance (4, 4) of whitened harmonics by their scatter, with the stated covariance as a prior.
 
-    Where they scatter more than stated, as in air, the prior gives only the ratios between the orders and not
-    the size of the noise: otherwise it would reduce the variance of a dozen pieces by a third.
+    Where they scatter more than stated, as in air, the prior has their size: otherwise it would reduce the
+    variance of a dozen pieces by a third.
     """
     # clipped, so that pieces far off are judged by the scatter of the others
     size = MAD_TO_SIGMA * np.median(np.abs(residuals), axis=0)
     clipped = np.clip(residuals, -_OUTLIER_U * size, _OUTLIER_U * size)
     scatter, dof, orders = clipped.T @ clipped, len(residuals) - _TREND_TERMS, len(_ODD)
     prior = max(1.0, float(np.trace(scatter)) / orders / dof) * np.eye(orders)
-    factor = _weighting_factor((dof + _STATED_PIECES) ** 2 / dof, orders)
+    # weights by a matrix from the data favour what happens to scatter little (Wishart's distribution)
+    known = (dof + _STATED_PIECES) ** 2 / dof
+    factor = (known - 1) / (known - orders) / ((known - orders + 1) / known)
     return np.asarray(factor * (scatter + _STATED_PIECES * prior) / (dof + _STATED_PIECES))
-
-
-def _weighting_factor(dof: float, size: int) -> float:
-    """Factor that a covariance matrix (size, size) from the data needs where its inverse weights a fit.
-
-    With weights from the data a fit scatters more than with the true ones. Its stated covariance is
-    too small, because these weights favour what happens to scatter little (Wishart's distribution).
-    """
-    stated, actual = (dof - size + 1) / dof, (dof - 1) / (dof - size)
-    return actual / stated
 
 
 @dataclass(frozen=True)

@@ -124,8 +124,7 @@ def _evidence_is_linear(model: ExactModel, coordinates: Floats) -> bool:
 def _descending_share(model: ExactModel, start: Floats, end: Floats) -> Floats:
     """The end of a step, or of its largest share that lowers the sum of squares with the evidence itself.
 
-    The step was found with linear evidence, which far from `start` may be wrong by any factor. It is taken
-    whole where no share of it descends, as in a bent valley out of which every straight way leads.
+    It is taken whole where no share descends, as in a bent valley out of which every straight way leads.
     """
     at_start = _sum_of_squares(model, start)
     for share in (0.5**halvings for halvings in range(_MAX_HALVINGS)):
@@ -299,12 +298,10 @@ def fit_exact_with(
 
     Models are compared with one noise: with its own, each would take an effect that it lacks for a drive.
     """
-    if like.ground is None:
-        raise DataError(f"the {like.method} fit has no noise that another fit could take over")
     model = ExactModel(
         points.first(like.half_cycles), pendulum, law=like.law, drag=drag, evidence=like.evidence
     )
-    noise, scale = model.noise_of(like), like.ground.measurement_scale
+    noise, scale = model.noise_of(like), like.ground_fit.measurement_scale
     is_linear = noise.at_rest and like.evidence == NO_EVIDENCE
     best: tuple[ExactModel, Solution] | None = None
     for coordinates in chain(start_near(model, like), starts_of(model)):
@@ -326,7 +323,7 @@ def fit_exact_with(
             break
     if best is None:
         raise DataError("the exact fit did not converge with the noise of the earlier one")
-    return result_of(*best, like.ground, like.loss)
+    return result_of(*best, like.ground_fit, like.loss)
 
 
 _VALLEY_RANGE = 6.0

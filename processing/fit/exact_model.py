@@ -95,10 +95,7 @@ class ExactModel:
     Residuals of the `evidence` follow those of amplitudes and times. They are linear about the coordinates
     of the last `linearised_at`, and are multiplied by `scale`, so that they scatter as the turning points do.
 
-    Raises
-    ------
-    DataError
-        The law cannot be fitted with a drag, or to these points.
+    Raises DataError where the law cannot be fitted with a drag, or to these points.
     """
 
     def __init__(
@@ -195,10 +192,7 @@ class ExactModel:
         return model
 
     def linearised_at(self, coordinates: Floats) -> "ExactModel":
-        """The same model with the residuals of the evidence linearised at these coordinates.
-
-        Raises DataError if the law predicts no waveform there.
-        """
+        """The same model with the evidence linearised here; raises DataError if the law has no waveform."""
         model = copy(self)
         residuals = self.evidence_residuals(coordinates)
         jacobian = np.zeros((len(residuals), len(coordinates)))
@@ -216,11 +210,8 @@ class ExactModel:
         return model
 
     def _evidence_slope(self, coordinates: Floats, residuals: Floats, step: Floats) -> Floats:
-        """Change of the evidence's residuals per length of a step, which is shortened where it is too long.
-
-        On ground that shakes, the evidence may know a coordinate far better than the points do: a step of
-        their uncertainty would leave the range in which the evidence is linear, or the pendulum swings.
-        """
+        """Change of the evidence's residuals per length of a step, which is shortened where the evidence
+        knows the coordinate far better than the points do, whose uncertainty the step is."""
         for share in _SHORTENING ** np.arange(_MAX_SHORTENINGS):
             for factor in (share, -share):
                 # at the end of a parameter's range there is a value on one side alone
@@ -241,10 +232,8 @@ class ExactModel:
     def evidence_residuals(
         self, coordinates: Floats, further: Mapping[str, float] = MappingProxyType({})
     ) -> Floats:
-        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform.
-
-        Raises DataError if the law predicts no waveform.
-        """
+        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform;
+        raises DataError if the law predicts no waveform."""
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
         return self.evidence.residuals(self.law, {**self.values(coordinates), **further}, self.pendulum)
@@ -319,10 +308,7 @@ class ExactModel:
 
     def losses(self, coordinates: Floats) -> tuple[Floats, Floats]:
         """Falling amplitudes through the decay, and the loss in a half-swing from each, in units of the
-        reference.
-
-        Raises DataError where the law's pendulum stops earlier.
-        """
+        reference; raises DataError where the law's pendulum stops earlier."""
         table = self._swings.through_the_decay(self.parametrisation.map_parameters(coordinates)[0])
         if table is None:
             raise DataError("the pendulum would not swing for as long as it did")
@@ -354,13 +340,13 @@ class ExactModel:
             evidence=result.evidence,
         )
         coordinates = model.parametrisation.from_physical(result.named_values)
-        scale = 1.0 if result.ground is None else result.ground.measurement_scale
+        scale = result.ground_fit.measurement_scale
         weighted = model.on_ground(coordinates, model.noise_of(result), scale)
         return weighted.linearised_at(coordinates), coordinates
 
     def noise_of(self, result: FitResult) -> Noise:
         """The noise by which a finished fit of the same points weighted its residuals."""
-        noise = AT_REST if result.ground is None else result.ground.noise.as_weights
+        noise = result.ground_fit.noise.as_weights
         return replace(noise, step=noise.step / self.reference)
 
 

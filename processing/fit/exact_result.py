@@ -40,36 +40,24 @@ _LAGS = 20
 
 
 def check_turning_points(points: TurningPoints) -> None:
-    """Raise `DataError` for turning points that cannot be fitted.
-
-    They are too few, out of order or not finite, have uncertainties that are not positive, or the amplitudes
-    do not fall.
-    """
+    """Raise `DataError` for turning points that are too few, out of order, not finite or not positive, or
+    whose amplitudes do not fall."""
     count = len(points)
     if count < FEWEST_HALF_CYCLES:
         raise DataError(
             f"{count} usable half-cycles, and a fit needs at least {FEWEST_HALF_CYCLES}: "
             "record for longer or see which were flagged"
         )
-    measured = {
-        "time_s": points.time_s,
-        "u_time_s": points.u_time_s,
-        "amplitude": points.amplitude,
-        "u_amplitude": points.u_amplitude,
-    }
-    for name, values in measured.items():
-        bad = np.nonzero(~np.isfinite(values))[0]
-        if len(bad):
-            raise DataError(
-                f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
-            )
-    for name in ("u_time_s", "u_amplitude", "amplitude"):
-        bad = np.nonzero(measured[name] <= 0)[0]
-        if len(bad):
-            raise DataError(
-                f"{name} of half-cycle {points.index[bad[0]]} is {measured[name][bad[0]]:g}: "
-                "it must be positive"
-            )
+    for name in ("time_s", "u_time_s", "amplitude", "u_amplitude"):
+        values = getattr(points, name)
+        not_finite = np.flatnonzero(~np.isfinite(values))
+        if len(not_finite):
+            where = f"{name} of half-cycle {points.index[not_finite[0]]} is {values[not_finite[0]]}"
+            raise DataError(f"{where}: flag it or leave it out")
+        bad = np.flatnonzero(values <= 0)
+        if name != "time_s" and len(bad):
+            where = f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]:g}"
+            raise DataError(f"{where}: it must be positive")
     for name, steps in (("index", np.diff(points.index)), ("time_s", np.diff(points.time_s))):
         bad = np.nonzero(steps <= 0)[0]
         if len(bad):

@@ -12,7 +12,7 @@ the turning point do not enter wholly, those in the quarter after it enter alrea
 kick at the phase theta_0 by sin(theta - theta_0). For a least-squares fit of cosine and sine over the
 half-cycle the error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step,
 and the covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after.
-The effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
+The effect on the amplitude is small and left out.
 """
 
 from collections.abc import Mapping
@@ -60,51 +60,35 @@ AT_REST = Noise()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
-    """Drive of the pendulum by the ground during a run, by the turning points.
-
-    Attributes
-    ----------
-    density_rad_per_s2_rthz, upper_95
-        One-sided spectral density of the angular acceleration at the pendulum's frequency, and its bound of
-        95 %; without a calibration in the unit of the amplitudes instead of rad.
-    seen
-        False where the run sets no more than that bound.
-    measurement_scale
-        Factor by which turning points scatter more than their stated uncertainties.
-    left_out_half_cycles
-        Number of half-cycles at the end that were not fitted: the ground moves the pendulum in one half-swing
-        by more than a tenth of its amplitude there, and amplitude and phase do not describe its motion.
-    widening
-        Ratio of the uncertainty of each parameter to that on ground at rest.
-    """
+    """Drive of the pendulum by the ground during a run, by the turning points."""
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    """One-sided spectral density of the angular acceleration at the pendulum's frequency; without a
+    calibration in the unit of the amplitudes instead of rad."""
     upper_95: Annotated[float, Quantity("", "bound of 95 %", unit="rad/s^2/sqrt(Hz)")] = nan
     seen: bool = False
+    """False where the run sets no more than that bound."""
     measurement_scale: float = 1.0
+    """Factor by which turning points scatter more than their stated uncertainties."""
     left_out_half_cycles: int = 0
+    """Number of half-cycles at the end that were not fitted: the ground moves the pendulum in one half-swing
+    by more than a tenth of its amplitude there, and amplitude and phase do not describe its motion."""
     widening: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
+    """Ratio of the uncertainty of each parameter to that on ground at rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundFit(Ground):
-    """The ground's drive, and the likelihood from which it was estimated.
-
-    Attributes
-    ----------
-    noise
-        The likeliest noise, its step in the unit of the amplitudes.
-    deviance
-        -2 ln L of the turning points with this noise, restricted to the residuals of the fitted parameters,
-        up to a constant that depends on their number and the law.
-    unrestricted
-        Least -2 ln L of the turning points themselves over all noises, up to a constant that depends on their
-        number; laws are compared by it.
-    """
+    """The ground's drive, and the likelihood from which it was estimated."""
 
     noise: Noise
+    """The likeliest noise, its step in the unit of the amplitudes."""
     deviance: float = nan
+    """-2 ln L of the turning points with this noise, restricted to the residuals of the fitted parameters, up
+    to a constant that depends on their number and the law."""
     unrestricted: float = nan
+    """Least -2 ln L of the turning points themselves over all noises, up to a constant that depends on their
+    number; laws are compared by it."""
 
 
 def density_of_step(step: float, half_period_s: float) -> float:
@@ -126,68 +110,47 @@ the variance of the step."""
 
 
 class Predictions(NamedTuple):
-    """A law's predictions of half-swings, for the filter.
-
-    Attributes
-    ----------
-    nodes
-        (5, nodes) falling amplitude, loss, its slope, duration in s, its slope.
-    loss_by, duration_by
-        (nodes, columns) derivatives of loss and duration with respect to the solver's columns at fixed
-        amplitude.
-    start, start_by
-        (2,) amplitude and time of the first turning point, and (2, columns) their derivatives.
-    """
+    """A law's predictions of half-swings, for the filter."""
 
     nodes: Floats
+    """(5, nodes) falling amplitude, loss, its slope, duration in s, its slope."""
     loss_by: Floats
+    """(nodes, columns) derivatives of the loss with respect to the solver's columns at fixed amplitude."""
     duration_by: Floats
     start: Floats
+    """(2,) amplitude and time of the first turning point."""
     start_by: Floats
+    """(2, columns) their derivatives."""
 
 
 class MeasuredTurningPoints(NamedTuple):
-    """Turning points as measured, for the filter.
-
-    Attributes
-    ----------
-    numbers
-        Numbers (half-cycles,) of the half-cycles, rising.
-    points, variance
-        (2, half-cycles) amplitudes and times, and the variances of their measurement.
-    rate
-        Angular frequency of the pendulum in rad/s.
-    averaged
-        Whether the turning points were measured on the samples of their half-cycles.
-    """
+    """Turning points as measured, for the filter."""
 
     numbers: Ints
+    """Numbers (half-cycles,) of the half-cycles, rising."""
     points: Floats
+    """(2, half-cycles) amplitudes and times."""
     variance: Floats
+    """(2, half-cycles) of their measurement."""
     rate: float
+    """Angular frequency of the pendulum in rad/s."""
     averaged: bool
+    """As in `Noise`."""
 
 
 class KnownSteps(NamedTuple):
-    """The known part of the drive, for the filter, in units of the reference.
-
-    Attributes
-    ----------
-    steps, by
-        (2, half-swings + 1): change of the amplitude, and of the time times the amplitude, with the
-        half-swing that ends at each turning point, and (2, half-swings + 1, columns) its derivatives; empty
-        where nothing is known.
-    unknown
-        (half-swings + 1,) variance of each amplitude by a drive that is not known, beyond the noise's step.
-    knocked
-        (half-swings + 1,) whether a knock fell into the half-swing: earlier turning points tell nothing of
-        the state after it.
-    """
+    """The known part of the drive, for the filter, in units of the reference."""
 
     steps: Floats
+    """(2, half-swings + 1): change of the amplitude, and of the time times the amplitude, with the half-swing
+    that ends at each turning point; empty where nothing is known."""
     by: Floats
+    """(2, half-swings + 1, columns) derivatives of the steps."""
     unknown: Floats
+    """(half-swings + 1,) variance of each amplitude by a drive that is not known, beyond the noise's step."""
     knocked: Flags
+    """(half-swings + 1,) whether a knock fell into the half-swing: earlier turning points tell nothing of the
+    state after it."""
 
 
 NOTHING_KNOWN = KnownSteps(np.empty((2, 0)), np.empty((2, 0, 0)), np.empty(0), np.empty(0, np.bool_))

@@ -21,15 +21,10 @@ delay of a seismometer would be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
-Friction that grows nearly in proportion to the deflection, as that of Eq. 1 with p near 1, acts as a softer
-spring before the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a
-half-swing the two quarters have the frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude
-then takes the frequency of the second quarter, the factor s/w^2 of the delay the product of the second's and
-the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
-
-The response of a seismometer is not known. Near the pendulum's frequency two gains describe it: that of the
-record, and that of the record with every phase turned by a quarter. Two more are needed where gain or phase
-change within the band over which a half-swing responds to the ground.
+Friction that grows nearly in proportion to the deflection acts as a softer spring before the zero crossing
+and a stiffer one after it: with a relative loss e of amplitude in a half-swing the quarters have the
+frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude takes that of the second quarter, the
+factor s/w^2 of the delay the product of the second's and the quarter's own.
 """
 
 from collections.abc import Sequence
@@ -127,26 +122,18 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class KnownDrive:
-    """Effect of each of some signals, at unit gain, on the turning points of a run.
-
-    Attributes
-    ----------
-    steps
-        (2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with
-        the half-swing that ends at each turning point, counted from the first one, which has only the part
-        of its own measurement. 0 where `missing`.
-    missing
-        (half-swings + 1,) whether the drive of a half-swing is not known.
-    gains
-        Gains (terms,) in rad/s^2 per unit of the signals: the start of a search, or its result.
-    covariance
-        Covariance (terms, terms) of fitted gains; None before a fit.
-    """
+    """Effect of each of some signals, at unit gain, on the turning points of a run."""
 
     steps: Floats
+    """(2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with the
+    half-swing that ends at each turning point, counted from the first one, which has only the part of its own
+    measurement. 0 where `missing`."""
     missing: Flags
+    """(half-swings + 1,) whether the drive of a half-swing is not known."""
     gains: Floats
+    """Gains (terms,) in rad/s^2 per unit of the signals: the start of a search, or its result."""
     covariance: Floats | None = None
+    """Covariance (terms, terms) of fitted gains; None before a fit."""
 
     @property
     def terms(self) -> int:
@@ -160,10 +147,8 @@ class KnownDrive:
         return replace(self, gains=gains, covariance=covariance)
 
     def unknown_variance(self, gains: Floats) -> Floats:
-        """Variance of each half-swing's unknown step (half-swings + 1,), in the squared unit of `steps`.
-
-        It is the mean square of the known steps, and 0 where the drive is known.
-        """
+        """Variance of each half-swing's unknown step (half-swings + 1,), in the squared unit of `steps`: the
+        mean square of the known ones, and 0 where the drive is known."""
         known_steps = self.steps[0][~self.missing] @ gains
         mean = float(np.mean(known_steps**2)) if len(known_steps) else 0.0
         return np.where(self.missing, mean, 0.0)
@@ -332,7 +317,10 @@ class Seismogram:
 
 
 SIGNALS = 4
-"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency."""
+"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency.
+
+The response of a seismometer is not known. Near the pendulum's frequency gain and quadrature describe it;
+slopes are needed where they change within the band over which a half-swing responds to the ground."""
 PAIR, SLOPES = (0, 1), (2, 3)
 """Gain and quadrature, and their slopes, among the signals of a component."""
 
@@ -343,10 +331,9 @@ def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
 
 
 def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
-    """Every component's signals.
+    """Every component's signals; raises DataError for samples that are too few or too far apart."""
+    from scipy.ndimage import binary_dilation  # here, because it would slow down every command
 
-    Raises DataError for samples that are too few or too far apart.
-    """
     time, value, step_s = _even(seismometer, period_s)
     good = np.all(np.isfinite(value), axis=1)
     if np.count_nonzero(good) * step_s < 4 * period_s:
@@ -367,7 +354,8 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
     signals = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
     signals = signals[padding : padding + len(time)]
-    usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    guard = ceil(_GUARD_PERIODS * period_s / step_s)
+    usable = ~binary_dilation(~good, np.ones(2 * guard + 1, dtype=np.bool_))
     return Signals(time[usable], np.ascontiguousarray(signals[usable]), _MIN_GAP_STEPS * step_s)
 
 
@@ -400,11 +388,3 @@ def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, flo
     used = count // block * block
     even = even[:used].reshape(-1, block).mean(axis=1)
     return even, values[:used].reshape(len(even), block, -1).mean(axis=1), step_s * block
-
-
-def _dilate(lost: Flags, guard: int) -> Flags:
-    """Whether each sample is at most `guard` samples from a lost one."""
-    count = np.concatenate([[0], np.cumsum(lost)])
-    places = np.arange(len(lost))
-    low, high = np.maximum(places - guard, 0), np.minimum(places + guard + 1, len(lost))
-    return np.asarray(count[high] > count[low])

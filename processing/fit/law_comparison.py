@@ -1,17 +1,17 @@
-"""Comparison of laws fitted to one decay, each with the drive of the ground that it needs.
+"""How well laws describe a decay: the discrepancy of one, the comparison of several, and a fit without any.
 
 A law that lacks an effect needs a stronger drive of the ground, which makes its likelihood smaller. Laws are
 compared by the likelihood of turning points and waveform, with Schwarz's penalty for each parameter. An
-effect that no drive can take up leaves the residuals correlated.
-
+effect that no drive can take up leaves the residuals correlated, or shows as smooth errors of the law.
 Where no law is to be assumed, splines describe the contact's moments.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import inf, log
+from math import inf, log, nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +20,166 @@ from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, 
 from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.discrepancy import with_discrepancy
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact, start_near, starts_of
-from processing.fit.exact_model import ExactModel
-from processing.fit.result import FitResult
-from processing.fit.terms import LinearisedFit
-from processing.least_squares import solve
+from processing.fit.exact_model import DiscrepancyColumns, ExactModel
+from processing.fit.ground import Noise
+from processing.fit.result import DISCREPANCY, DISCREPANCY_SEEN, DiscrepancySize, FitResult
+from processing.fit.terms import DrivenRows, LinearisedFit, RestrictedLikelihood
+from processing.least_squares import FactoredJacobian, solve
 from processing.swing import TurningPoints
+
+_MAX_NODE_SPACING = 0.4
+"""Largest distance of an error's nodes, in ln A."""
+_CORRELATION_LENGTH = 2.0
+"""Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
+_SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
+"""Relative errors of losses and harmonics that are tried; those of durations are smaller by
+`_DURATION_SHARE`."""
+_DURATION_SHARE = 1e-3
+_ERROR_DRIVE_FACTORS = (*10.0 ** np.arange(0.0, -3.01, -0.25), 0.0)
+"""Drives of the ground that are tried, over the likeliest one of the law without errors."""
+_DIAGONAL_EXCESS = 1e-9
+"""Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
+
+
+class _Sizes(NamedTuple):
+    """Sizes (3,) of the errors of losses, durations and harmonics."""
+
+    likeliest: Floats
+    averaged: Floats
+    """Rms over the sizes that the data allow."""
+    deviance: float
+    """-2 ln L of the likeliest sizes."""
+
+
+def with_discrepancy(linearised: LinearisedFit, fit: FitResult | None = None) -> FitResult:
+    """The fit with uncertainties that contain its law's discrepancy from the data.
+
+    `fit` is the fit that receives the term, where it has terms that `linearised.fit` has not.
+    """
+    fit = linearised.fit if fit is None else fit
+    discrepancy, changes = _discrepancy(linearised)
+    if changes is None:
+        return replace(fit, discrepancy=discrepancy)
+    wider = fit.with_term(DISCREPANCY, changes)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
+    discrepancy = replace(discrepancy, u_inflation=dict(zip(fit.names, factor.tolist(), strict=True)))
+    sizes = {"losses": discrepancy.loss, "durations": discrepancy.duration, "harmonics": discrepancy.waveform}
+    errors = [f"its {name} by {float(f'{100 * size:.2g}'):g} %" for name, size in sizes.items() if size]
+    warning = (
+        f"the law does not describe this decay (chi2 {discrepancy.against_law:.0f} against it): it misses "
+        f"{', '.join(errors)}; uncertainties are widened for it by up to {factor.max():.2g}"
+    )
+    return replace(wider, discrepancy=discrepancy, warnings=(*fit.warnings, warning))
+
+
+def _discrepancy(linearised: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
+    """The discrepancy, and changes of the values by errors of its size; None where it is not seen."""
+    if linearised.fit.loss != "linear":
+        return DiscrepancySize(against_law=nan), None
+    model = linearised.model
+    nodes = _HatFunctions(linearised.points.amplitude / model.reference)
+    of_waveform = _by_harmonics(linearised, nodes)
+    errors = DiscrepancyColumns(nodes, nodes)
+
+    def driven(noise: Noise) -> DrivenRows:
+        return DrivenRows.of(model, linearised.coordinates, noise, errors, of_waveform)
+
+    all_rows = map(driven, linearised.noises(_ERROR_DRIVE_FACTORS))
+    trials = [rows for rows in all_rows if np.all(np.isfinite(rows.residuals))]
+    if not trials:
+        return DiscrepancySize(against_law=nan), None
+    best = min((_scaled(rows, _likeliest_sizes, 0.01) for rows in trials), key=lambda sizes: sizes.deviance)
+    # without errors the scatter may be larger instead
+    against = min(_scaled(rows, _without_errors, 0.001).deviance for rows in trials) - best.deviance
+    if not against > DISCREPANCY_SEEN:
+        return DiscrepancySize(against_law=max(against, 0.0)), None
+    loss, duration, waveform = best.averaged.tolist()
+    discrepancy = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
+    # the effect of errors of these sizes on the values, which were fitted with the law's own weights
+    rows = driven(linearised.noise).in_scatter(linearised.scale)
+    law, sizes = FactoredJacobian(rows.jacobian), np.repeat(best.averaged, nodes.count)
+    return discrepancy, linearised.to_physical @ law.coefficients(rows.by_errors * sizes)
+
+
+class _HatFunctions:
+    """Smooth functions of ln A: linear interpolation between even nodes, with correlated values at them."""
+
+    def __init__(self, amplitude: Floats) -> None:
+        x = np.log(amplitude)
+        count = max(3, int(np.ceil(np.ptp(x) / _MAX_NODE_SPACING)) + 1)
+        self._nodes = np.linspace(x.min(), x.max(), count)
+        distance = np.abs(self._nodes[:, None] - self._nodes) / _CORRELATION_LENGTH
+        correlation = np.exp(-0.5 * distance**2) + _DIAGONAL_EXCESS * np.eye(count)
+        self._root = np.linalg.cholesky(correlation)
+        self.count = count
+
+    def __call__(self, amplitude: Floats, _: Floats | None = None) -> Floats:
+        """Values (n, m) of m independent unit errors."""
+        x = np.clip(np.log(amplitude), self._nodes[0], self._nodes[-1])
+        width = self._nodes[1] - self._nodes[0]
+        hats = np.maximum(0.0, 1.0 - np.abs(x[:, None] - self._nodes) / width)
+        return np.asarray(hats @ self._root)
+
+
+def _by_harmonics(linearised: LinearisedFit, nodes: _HatFunctions) -> Floats:
+    """The evidence's derivatives with respect to relative errors of losses, durations (0) and harmonics."""
+    model, waveform = linearised.model, linearised.model.evidence.waveform
+    derivatives = np.zeros((len(model.evidence_residuals(linearised.coordinates)), 3 * nodes.count))
+    if waveform is None:
+        return derivatives
+    predicted = waveform.predicted_rad(model.law, model.values(linearised.coordinates), model.pendulum)
+    for column, shape in enumerate(nodes(waveform.amplitude_rad / model.reference).T, 2 * nodes.count):
+        reduced = waveform.reduced(shape[:, None] * predicted)
+        derivatives[: len(reduced), column] = reduced
+    return derivatives
+
+
+def _scaled(
+    stated: DrivenRows, estimate: Callable[[RestrictedLikelihood], _Sizes], tolerance: float
+) -> _Sizes:
+    """Sizes by `estimate`, for turning points that scatter as much as their residuals with these sizes do."""
+    scale2 = 1.0
+    for _ in range(3):
+        rows = stated.in_scatter(sqrt(scale2))
+        restricted = RestrictedLikelihood(rows.residuals, rows.jacobian, np.split(rows.by_errors, 3, axis=1))
+        sizes = estimate(restricted)
+        unexplained = restricted.unexplained(sizes.likeliest)[: rows.points]
+        dof, last_scale2 = rows.points - restricted.law.directions.shape[1], scale2
+        scale2 = max(1.0, float(unexplained @ unexplained) * last_scale2 / dof)
+        if abs(scale2 - last_scale2) < tolerance * scale2:
+            break
+    return sizes._replace(deviance=sizes.deviance + rows.log_det)
+
+
+def _without_errors(restricted: RestrictedLikelihood) -> _Sizes:
+    zero = np.zeros(3)
+    return _Sizes(zero, zero, restricted.deviance(zero))
+
+
+def _likeliest_sizes(restricted: RestrictedLikelihood) -> _Sizes:
+    """The likeliest sizes, each sought in turn, and their means."""
+    grids = [_SIZES_TRIED, _DURATION_SHARE * _SIZES_TRIED, _SIZES_TRIED]
+    sizes, deviance = np.zeros(3), inf
+    grid_deviances: list[Floats] = []
+    for _ in range(2):
+        grid_deviances = []
+        for kind, grid in enumerate(grids):
+            deviances = restricted.deviances(sizes, kind, np.append(0.0, grid))
+            least = int(np.argmin(deviances))
+            sizes[kind] = 0.0 if least == 0 else grid[least - 1]
+            deviance = float(deviances[least])
+            grid_deviances.append(deviances[1:])
+    # the mean square over the sizes that the data allow: with few nodes the likeliest is often too small
+    averaged = sizes.copy()
+    for kind, grid in enumerate(grids):
+        if sizes[kind] > 0:
+            weights = np.exp(-0.5 * (grid_deviances[kind] - grid_deviances[kind].min()))
+            averaged[kind] = np.sqrt(np.sum(weights * grid**2) / np.sum(weights))
+    return _Sizes(sizes, averaged, deviance)
+
 
 EXCLUDED_BIC = 10.0
 """Distance in BIC above which a law is excluded: odds of 150 to 1 (Kass & Raftery 1995)."""
@@ -115,8 +267,7 @@ def compare_laws(
             problem = f"the drive that it needs would drown {lost} half-cycles"
             trials.append(LawTrial(law, None, problem=problem))
             continue
-        assert fit.ground is not None  # of every exact fit
-        bic = fit.ground.unrestricted + len(fit.names) * log(2 * len(points))
+        bic = fit.ground_fit.unrestricted + len(fit.names) * log(2 * len(points))
         trials.append(LawTrial(law, fit, bic))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.discrepancy is None:
@@ -128,11 +279,8 @@ def compare_laws(
 def _fit(
     points: TurningPoints, pendulum: PendulumOnBall, law: Law, drag: bool, evidence: Evidence
 ) -> FitResult:
-    """The exact fit of a law, searched from its fit to the turning points alone, too.
-
-    Where the waveform contradicts a law, its own start values may lie in the valley of another minimum, at
-    which the law would seem much worse than it is.
-    """
+    """The exact fit of a law, also searched from its fit to the turning points alone: where the waveform
+    contradicts a law, its own start values may lie in the valley of a far worse minimum."""
     near: FitResult | None = None
     if evidence.waveform is not None:
         with suppress(DataError):
@@ -204,10 +352,7 @@ class ModelFreeFit:
         return FreeMoments(phi_rad, *friction, *elastic, unit_rad)
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
-        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
-
-        The uncertainties are 0.
-        """
+        """Moments of splines with the turning points of a fitted law; their uncertainties are 0."""
         # at the values of a law that does not fit, its waveform may have no derivatives
         of_points = replace(fit, evidence=replace(fit.evidence, waveform=None))
         law, coordinates = ExactModel.of(self.points, self.pendulum, of_points)
@@ -229,10 +374,8 @@ class ModelFreeFit:
 
 
 def _drag_ratio(fit: FitResult, period_s: float) -> float:
-    """Ratio of a drag in the splines' terms to the same drag in a law's.
-
-    A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
-    """
+    """Ratio of a drag in the splines' terms to the same drag in a law's: it is stated over the stiffness,
+    which the splines take as gravity's alone at the period `period_s`."""
     return (period_s / fit.estimate("period0_s").value) ** 2
 
 

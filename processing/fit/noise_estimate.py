@@ -34,8 +34,7 @@ _STATED_WEIGHT = 25.0
 """Weight of the stated uncertainties against a larger scale, as a number of residuals that agree with them.
 
 In a short run a larger scale and a drive explain a scatter equally well, but only the drive enlarges the
-uncertainties of the parameters.
-"""
+uncertainties of the parameters."""
 _SCALE_TOLERANCE = 1e-3
 """Relative change of the squared scale below which its iteration ends."""
 _MIN_EIGENVALUE = 1e-13

@@ -12,7 +12,7 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
+from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.evidence import Evidence, Waveform
@@ -37,8 +37,6 @@ class Conditions:
     u_time_amplitude_s_rad: float
     """Product of a time's uncertainty and its amplitude."""
     ground_rad_per_s2_rthz: float = 0.0
-    averaged: bool = True
-    """As in `Noise`."""
     sine_covariance: Floats | None = field(default=None, compare=False)
     """Covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`); None where unused."""
     known_drag_s: Estimate | None = None
@@ -56,13 +54,12 @@ class Conditions:
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
-        """The conditions of a finished run; its drive is the likeliest one."""
-        scale = 1.0 if fit.ground is None else fit.ground.noise.scale
-        waveform = fit.evidence.waveform
+        """The conditions of a finished run, by its exact fit; its drive is the likeliest one."""
+        scale, waveform = fit.ground_fit.noise.scale, fit.evidence.waveform
         return cls(
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
-            0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
+            fit.ground_fit.density_rad_per_s2_rthz.value,
             sine_covariance=None if waveform is None else waveform.median_covariance,
             known_drag_s=fit.evidence.drag_s,
         )
@@ -112,20 +109,14 @@ def planned_run(
     conditions: Conditions,
     first_rad: float,
     last_rad: float,
-    *,
-    law: Law = DEFAULT_LAW,
 ) -> PlannedRun:
-    """The planned run from one amplitude to another, for a law with these values.
+    """The planned run from one amplitude to another, for these values of the `DEFAULT_LAW`.
 
-    Raises
-    ------
-    DataError
-        The pendulum makes too few half-cycles between the two amplitudes.
+    Raises DataError where the pendulum makes too few half-cycles between the two amplitudes.
     """
     drag = DRAG.key in values
-    names = law.fit_names(drag=drag)
     known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
-    amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
+    amplitude, time, complete = _decay(known, pendulum, last_rad, conditions)
     if len(amplitude) < FEWEST_HALF_CYCLES:
         raise DataError(
             f"from {first_rad:.3g} to {last_rad:.3g} rad there are {len(amplitude)} half-cycles; a fit needs "
@@ -138,12 +129,11 @@ def planned_run(
         amplitude,
         np.full(len(amplitude), conditions.u_amplitude_rad),
     )
-    model = ExactModel(points, pendulum, law=law, drag=drag, evidence=conditions.evidence(amplitude))
+    model = ExactModel(points, pendulum, drag=drag, evidence=conditions.evidence(amplitude))
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
-    noise = Noise(step=step, averaged=conditions.averaged)
     coordinates = model.parametrisation.from_physical(known)
     fit_values = {name: known[name] for name in model.names}
-    rows = DrivenRows.of(model.linearised_at(coordinates), coordinates, noise)
+    rows = DrivenRows.of(model.linearised_at(coordinates), coordinates, Noise(step=step))
     # sizes of the stated values: the coordinates give 1e-19 for a value of 0, whose column would vanish
     by_coordinates = model.parametrisation.physical(coordinates)[1] / _sizes(fit_values)[:, None]
     root = np.linalg.qr(rows.jacobian @ np.linalg.inv(by_coordinates)).R
@@ -169,27 +159,22 @@ def _sizes(values: Mapping[str, float]) -> Floats:
 
 
 def _decay(
-    law: Law,
-    known: Mapping[str, float],
-    names: tuple[str, ...],
-    pendulum: PendulumOnBall,
-    first_rad: float,
-    last_rad: float,
-    conditions: Conditions,
+    known: Mapping[str, float], pendulum: PendulumOnBall, last_rad: float, conditions: Conditions
 ) -> tuple[Floats, Floats, bool]:
     """Amplitudes and times of the law's free decay, and whether it reaches the last amplitude."""
     range_ends = TurningPoints(
         np.array([0, 1], dtype=np.int64),
         np.array([0.0, 1.0]),
         np.ones(2),
-        np.array([first_rad, last_rad]),
+        np.array([known[AMPLITUDE.key], last_rad]),
         np.full(2, 1e-3 * last_rad),
     )
-    parametrisation = law.coordinates(range_ends, pendulum, names)
+    names = DEFAULT_LAW.fit_names(drag=DRAG.key in known)
+    parametrisation = DEFAULT_LAW.coordinates(range_ends, pendulum, names)
     parameters = parametrisation.map_parameters(parametrisation.from_physical(known))[0]
     count = 256
     while True:
-        decay = law.turning_points(parameters[:-2], np.arange(count, dtype=np.int64))
+        decay = DEFAULT_LAW.turning_points(parameters[:-2], np.arange(count, dtype=np.int64))
         amplitude = decay.amplitude * parametrisation.reference
         if not np.isfinite(amplitude[-1]) or amplitude[-1] < last_rad or count > 1 << 16:
             break

@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from processing.arrays import Ints
 from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
+from processing.fit.changes import fit_with_knocks
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
-from processing.fit.knocks import fit_with_knocks
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
 from processing.position_map import PositionMap
@@ -118,20 +117,14 @@ def second_measurement(
     refined: list[HalfCycle] = []
     for half_cycle in half_cycles:
         if half_cycle.flags == 0:
-            place = _nearest(times_ns, half_cycle.turn_time_ns) if candidates else None
-            if place is None or abs(times_ns[place] - half_cycle.turn_time_ns) > near_ns:
+            off_ns = np.abs(times_ns - half_cycle.turn_time_ns)
+            if not np.any(off_ns <= near_ns):
                 half_cycle = replace(half_cycle, flags=int(HalfCycleFlag.GAP))
             else:
-                same = replace(candidates[place], index=half_cycle.index)
+                same = replace(candidates[int(np.argmin(off_ns))], index=half_cycle.index)
                 half_cycle = same.since(refined[-1] if refined else None)
         refined.append(half_cycle)
     return with_learned_weights(refined)
-
-
-def _nearest(times_ns: Ints, time_ns: int) -> int:
-    """Place of the time nearest to another one, among rising times."""
-    following = min(int(np.searchsorted(times_ns, time_ns)), len(times_ns) - 1)
-    return min(following, max(following - 1, 0), key=lambda place: abs(int(times_ns[place]) - time_ns))
 
 
 class MeasurementShift(NamedTuple):
@@ -174,10 +167,8 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
     the first measurement share make its likelihood look better by chance; four standard deviations of chi2
     are allowed for that.
     """
-    assert first.ground is not None
-    assert second.ground is not None
     allowed = 4.0 * math.sqrt(2.0 * first.dof)
-    return second.ground.deviance <= first.ground.deviance + allowed
+    return second.ground_fit.deviance <= first.ground_fit.deviance + allowed
 
 
 def with_enlarged_u(half_cycles: Sequence[HalfCycle], shift: MeasurementShift) -> list[HalfCycle]:
@@ -344,15 +335,6 @@ def fitted_twice(
         A fit of fewer of them.
     earlier
         Earlier half-cycles, which are fitted with the others and not measured a second time.
-
-    Returns
-    -------
-    All half-cycles as they stand, and their fit.
-
-    Raises
-    ------
-    DataError
-        They cannot be fitted.
     """
     weighted = with_learned_weights([*earlier, *half_cycles])
     first = fit.of(weighted, near)

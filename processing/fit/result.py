@@ -40,24 +40,18 @@ DISCREPANCY_SEEN = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscrepancySize:
-    """Size of a law's discrepancy from a decay.
-
-    Attributes
-    ----------
-    loss, duration, waveform
-        Relative standard deviations of the errors of the law's losses, durations and harmonics; 0 where they
-        are not seen.
-    against_law
-        Increase of -2 ln L for the law without errors.
-    u_inflation
-        Factor by which the uncertainty of each parameter grew, by its name; empty where nothing is seen.
-    """
+    """Size of a law's discrepancy from a decay."""
 
     loss: float = 0.0
+    """Relative standard deviation of the errors of the law's losses; 0 where they are not seen."""
     duration: float = 0.0
+    """The same of its durations."""
     waveform: float = 0.0
+    """The same of its harmonics."""
     against_law: float = 0.0
+    """Increase of -2 ln L for the law without errors."""
     u_inflation: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
+    """Factor by which the uncertainty of each parameter grew, by its name; empty where nothing is seen."""
 
     @property
     def seen(self) -> bool:
@@ -78,27 +72,18 @@ CLEAR_CHANGE_GAIN = 20.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One change during a run.
-
-    Attributes
-    ----------
-    half_cycle
-        Index of the first half-cycle after it.
-    time_s
-        When it happened, on the clock of the turning points.
-    size, u_size
-        Relative size and its standard uncertainty; that of a knock is relative to the amplitude, whatever its
-        phase.
-    gain
-        Fall of -2 ln L by the change.
-    """
+    """One change during a run."""
 
     kind: ChangeKind
     half_cycle: int
+    """Index of the first half-cycle after it."""
     time_s: Annotated[float, Quantity("", "when it happened", unit="s")]
+    """When it happened, on the clock of the turning points."""
     size: float
+    """Relative size; that of a knock is relative to the amplitude, whatever its phase."""
     u_size: float
     gain: float
+    """Fall of -2 ln L by the change."""
 
     @property
     def text(self) -> str:
@@ -118,28 +103,21 @@ SIGNIFICANT_CHANCE = 0.003
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
-    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law.
-
-    Attributes
-    ----------
-    p_value
-        Probability of so large a value without it.
-    share
-        Its loss over that of the linear drag at the first amplitude.
-    relative_shift_b, shift_drag_s
-        Relative change of b, and change of the linear drag, with it.
-    shift
-        Changes of all values of the fit with it, in their order.
-    """
+    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law."""
 
     coefficient: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
         NOT_DETERMINED
     )
     p_value: float = nan
+    """Probability of so large a value without it."""
     share: float = nan
+    """Its loss over that of the linear drag at the first amplitude."""
     relative_shift_b: float = nan
+    """Relative change of b with it."""
     shift_drag_s: float = nan
+    """Change of the linear drag with it."""
     shift: Annotated[tuple[float, ...], PLAIN] = ()
+    """Changes of all values of the fit with it, in their order."""
 
     @property
     def seen(self) -> bool:
@@ -153,26 +131,20 @@ CORRELATED = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles.
-
-    Attributes
-    ----------
-    lags
-        Number of neighbours whose correlations are tested.
-    p_amplitude, p_time
-        Chances of autocorrelations at least as large in pure noise.
-    first_amplitude, first_time
-        Correlations of next neighbours.
-    u_inflation
-        Largest factor by which correlation enlarged a standard uncertainty of the fit.
-    """
+    """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles."""
 
     lags: int = 0
+    """Number of neighbours whose correlations are tested."""
     p_amplitude: float = nan
+    """Chance of autocorrelations of the amplitudes' residuals at least as large in pure noise."""
     p_time: float = nan
+    """The same of the times."""
     first_amplitude: float = nan
+    """Correlation of next neighbours, of amplitudes."""
     first_time: float = nan
+    """The same of times."""
     u_inflation: float = 1.0
+    """Largest factor by which correlation enlarged a standard uncertainty of the fit."""
 
     @property
     def correlated(self) -> bool:
@@ -181,111 +153,77 @@ class Whiteness:
 
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
-    """Quality of one fit: how well it describes its decay, its findings and warnings.
-
-    Attributes
-    ----------
-    mean_period_s
-        Mean period of the run, from the times only, in the second of the camera. It is known even if T0, the
-        period at vanishing amplitude, is too strongly correlated with n. The table of results has it with
-        the uncertainty of the clock and of a period that changes.
-    arae_decay, arae_period
-        Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
-        the sum.
-    chi2_per_dof, degrees_of_freedom
-        Of the unscaled residuals of amplitudes and times. For ground at rest the residuals are distances from
-        the free decay; for a driven pendulum, from the predictions of a Kalman filter, and their
-        uncertainties contain the drive.
-    bias
-        Parameters that Eqs. 5 and 6 give for the free decay of the exact fit, less those of this fit; None
-        for the exact fit, or if it is not known.
-    ground
-        How strongly the ground drove the pendulum; None for a fit that does not estimate it.
-    whiteness
-        Test whether the residuals are correlated.
-    discrepancy
-        The law's discrepancy from the decay; None where it was not estimated.
-    changes
-        Events during the run: knocks, and steps of friction or period.
-    information_gain
-        Factors by which each uncertainty would be larger without the waveform, or without the prior of the
-        air; empty where there is neither.
-    boundary_layer
-        Boundary layer's drag in addition to the fit; None where it was not estimated.
-    outliers
-        Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
-    warnings
-        Warnings for the user.
-    """
+    """Quality of one fit: how well it describes its decay, its findings and warnings."""
 
     mean_period_s: Annotated[Estimate, Quantity("T, mean", "mean period of the run")] = NOT_DETERMINED
+    """Mean period of the run, from the times only, in the second of the camera. It is known even if T0, the
+    period at vanishing amplitude, is too strongly correlated with n. The table of results has it with the
+    uncertainty of the clock and of a period that changes."""
     arae_decay: Annotated[float, Quantity("ARAE (8)", "ARAE of the amplitudes, Eq. 8", "%")] = nan
+    """Mean relative deviation of the amplitudes, Eq. 8, divided by the number of terms in the sum."""
     arae_period: Annotated[float, Quantity("ARAE (9)", "ARAE of the periods, Eq. 9", "%")] = nan
+    """The same of the periods, Eq. 9."""
     chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom")] = nan
+    """Of the unscaled residuals of amplitudes and times. For ground at rest the residuals are distances from
+    the free decay; for a driven pendulum, from the predictions of a Kalman filter, and their uncertainties
+    contain the drive."""
     degrees_of_freedom: Annotated[int, Quantity("dof", "degrees of freedom")] = 0
     bias: Mapping[str, float] | None = None
+    """Parameters that Eqs. 5 and 6 give for the free decay of the exact fit, less those of this fit; None for
+    the exact fit, or if it is not known."""
     ground: Ground | None = None
+    """How strongly the ground drove the pendulum; None for a fit that does not estimate it."""
     whiteness: Whiteness | None = None
     discrepancy: DiscrepancySize | None = None
+    """The law's discrepancy from the decay; None where it was not estimated."""
     changes: tuple[Change, ...] = ()
+    """Events during the run: knocks, and steps of friction or period."""
     information_gain: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
+    """Factors by which each uncertainty would be larger without the waveform, or without the prior of the
+    air; empty where there is neither."""
     boundary_layer: BoundaryLayerDrag | None = None
+    """Boundary layer's drag in addition to the fit; None where it was not estimated."""
     outliers: tuple[int, ...] = ()
+    """Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties."""
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult(FitQuality):
-    """One fit of one decay.
-
-    Attributes
-    ----------
-    names
-        The law's parameters, ``drag_s`` if it was fitted, ``initial_amplitude_rad`` and, for the exact fit,
-        ``start_time_s``, the time of the first turning point on the clock of the data.
-    values, covariance
-        In the order of `names`, in SI units. The covariance is multiplied by max(1, chi2/dof): it is enlarged
-        if the residuals exceed the uncertainties, but not reduced if they are smaller.
-    reference_rad
-        Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
-        distributed even if b and gamma are not.
-    by_log_rho
-        Derivative of `values` with respect to ln(R/a), which the exact fit takes as known; else NaN.
-    by_inputs
-        Derivatives of the contact parameters, which come first, with respect to other inputs that the fit
-        takes as known, by the names of `RigQuantities`: the row time of a shutter, an error of all
-        amplitudes, drifts over a run.
-    loss, cost
-        The loss function, and half of its sum at the minimum (half of chi2 if linear).
-    half_cycles
-        Number of turning points fitted, counted from the first; 0 if it is not known.
-    ground
-        That of `FitQuality`, with its likelihood.
-    u_inflation
-        Factor by which each standard uncertainty exceeds that by the likelihood; None where nothing did.
-    terms
-        Named parts of the covariance: of each term the changes (values, m) of the values by one standard
-        uncertainty of each of its m independent coordinates, infinite where nothing determines them. The rest
-        of the covariance is by the drive of the ground.
-    evidence
-        Evidence that restrained the fit in addition to the turning points.
-    """
+    """One fit of one decay."""
 
     method: FitMethod
     law: Law
     names: tuple[str, ...]
+    """The law's parameters, ``drag_s`` if it was fitted, ``initial_amplitude_rad`` and, for the exact fit,
+    ``start_time_s``, the time of the first turning point on the clock of the data."""
     values: Floats
+    """In the order of `names`, in SI units."""
     covariance: Floats
+    """It is multiplied by max(1, chi2/dof): enlarged if the residuals exceed the uncertainties, but not
+    reduced if they are smaller."""
     reference_rad: float
+    """Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
+    distributed even if b and gamma are not."""
     by_log_rho: Floats
+    """Derivative of `values` with respect to ln(R/a), which the exact fit takes as known; else NaN."""
     loss: Loss
     cost: float
+    """Half of the sum of the loss function at the minimum (half of chi2 if linear)."""
     half_cycles: int = 0
+    """Number of turning points fitted, counted from the first; 0 if it is not known."""
     ground: GroundFit | None = None
     u_inflation: Floats | None = None
+    """Factor by which each standard uncertainty exceeds that by the likelihood; None where nothing did."""
     terms: Mapping[str, Floats] = field(default_factory=dict)
+    """Named parts of the covariance: of each term the changes (values, m) of the values by one standard
+    uncertainty of each of its m independent coordinates, infinite where nothing determines them. The rest of
+    the covariance is by the drive of the ground."""
     evidence: Evidence = NO_EVIDENCE
     by_inputs: Mapping[str, Floats] = field(default_factory=dict)
+    """Derivatives of the contact parameters, which come first, with respect to other inputs that the fit
+    takes as known, by the names of `RigQuantities`: the row time of a shutter, an error of all amplitudes,
+    drifts over a run."""
 
     @property
     def dof(self) -> int:
@@ -295,6 +233,23 @@ class FitResult(FitQuality):
     def named_values(self) -> dict[str, float]:
         """Values by their names."""
         return dict(zip(self.names, self.values.tolist(), strict=True))
+
+    @property
+    def ground_fit(self) -> GroundFit:
+        """`ground`, which every exact fit has; raises DataError for another fit."""
+        if self.ground is None:
+            raise DataError(f"the {self.method} fit does not estimate the drive of the ground")
+        return self.ground
+
+    @property
+    def inflation(self) -> Floats:
+        """`u_inflation`, 1 where nothing did."""
+        return np.ones(len(self.names)) if self.u_inflation is None else self.u_inflation
+
+    @property
+    def scatter2(self) -> float:
+        """Factor max(1, chi2/dof) of the covariance; 1 with a robust loss."""
+        return max(1.0, self.chi2_per_dof) if self.loss == "linear" else 1.0
 
     @property
     def standard_uncertainty(self) -> Floats:
@@ -325,7 +280,7 @@ class FitResult(FitQuality):
         return replace(
             self,
             covariance=self.covariance + added,
-            u_inflation=factor if self.u_inflation is None else self.u_inflation * factor,
+            u_inflation=self.inflation * factor,
             terms={**self.terms, name: changes},
             warnings=(*self.warnings, *warnings),
             **fields,
@@ -376,12 +331,8 @@ class FitResult(FitQuality):
         return Estimate(float(self.values[i]), float(np.sqrt(self.covariance[i, i])))
 
     def interval(self, name: str, coverage: float = 0.95) -> tuple[float, float]:
-        """Confidence interval from the covariance and Student's t.
-
-        It is symmetric in the logarithm for a positive value of a parameter marked `Parameter.logarithmic`
-        (b and gamma, whose units contain the exponents p and n). For poorly determined parameters
-        `identifiability` uses the profile likelihood.
-        """
+        """Confidence interval from the covariance and Student's t, symmetric in the logarithm for a positive
+        value of a parameter marked `Parameter.logarithmic`."""
         from scipy.special import stdtrit
 
         value, u = self.estimate(name)

@@ -67,62 +67,49 @@ class SeismometerVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
-
-    `gain` is in rad/s^2 per unit of the component. `phase_rad` is the lead of the drive over it, with
-    deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
-    """
+    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency."""
 
     name: str
     gain: float = nan
+    """In rad/s^2 per unit of the component."""
     u_gain: float = nan
     phase_rad: float = nan
+    """Lead of the drive over the component, with deflections positive at the first turning point."""
     u_phase_rad: float = nan
     with_slope: bool = False
+    """Whether gain and phase may change with frequency."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerUse:
-    """Use of an auxiliary seismometer in the fit of a run.
-
-    Attributes
-    ----------
-    source
-        Name of its file, or its topic in the record.
-    understood
-        Remarks on what was read of the file, and what was left out.
-    verdict, reason
-        Whether it was used; the reason where it does not cover the run.
-    gain_of_prediction
-        Decrease of -2 ln L of half-cycles with gains fitted to the others.
-    explained
-        Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
-    ground_alone_rad_per_s2_rthz, ground_left_rad_per_s2_rthz
-        Densities of the drive without the seismometer, and of the remainder.
-    responses
-        Response to each component in use.
-    missing_half_cycles
-        Half-swings that the seismometer does not cover; the drive is unknown in them.
-    delay_s, clock_drift
-        Correction of the seismometer's times, in s and in s per second from the middle of the run, as the run
-        shows it; it was applied if it exceeds four standard uncertainties.
-    saved
-        Factor by which the uncertainty of each parameter is smaller.
-    """
+    """Use of an auxiliary seismometer in the fit of a run."""
 
     source: str = ""
+    """Name of its file, or its topic in the record."""
     understood: tuple[str, ...] = ()
+    """Remarks on what was read of the file, and what was left out."""
     verdict: SeismometerVerdict = SeismometerVerdict.NO_GAIN
     reason: str = ""
+    """Why it does not cover the run, where it does not."""
     gain_of_prediction: Annotated[float, Quantity("", "gain of prediction")] = nan
+    """Decrease of -2 ln L of half-cycles with gains fitted to the others."""
     explained: Annotated[float, Quantity("", "share of the drive explained", "%")] = nan
+    """Share of the drive's power at the pendulum's frequency that it explains: the squared coherence."""
     ground_alone_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    """Density of the drive without the seismometer."""
     ground_left_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    """Density of the drive that it does not explain."""
     responses: tuple[Response, ...] = ()
+    """Response to each component in use."""
     missing_half_cycles: int = 0
+    """Half-swings that the seismometer does not cover; the drive is unknown in them."""
     delay_s: Estimate = NOT_DETERMINED
+    """Correction of the seismometer's times as the run shows it; it was applied if it exceeds four standard
+    uncertainties."""
     clock_drift: Estimate = NOT_DETERMINED
+    """The same in s per second from the middle of the run."""
     saved: Mapping[str, float] = field(default_factory=dict)
+    """Factor by which the uncertainty of each parameter is smaller."""
 
     @property
     def used(self) -> bool:
@@ -140,8 +127,6 @@ def _accepted_use(
     use: SeismometerUse, alone: FitResult, fit: FitResult, names: Sequence[str], chosen: Sequence[int]
 ) -> SeismometerUse:
     """The use with an accepted fit by the `chosen` signals; `names` are those of the components."""
-    assert alone.ground is not None
-    assert fit.ground is not None
     drive = fit.evidence.drive
     assert drive is not None
     assert drive.covariance is not None
@@ -166,8 +151,8 @@ def _accepted_use(
     return replace(
         use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
-        explained=float(explained_power / (explained_power + fit.ground.noise.step**2)),
-        ground_left_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz,
+        explained=float(explained_power / (explained_power + fit.ground_fit.noise.step**2)),
+        ground_left_rad_per_s2_rthz=fit.ground_fit.density_rad_per_s2_rthz,
         responses=tuple(responses),
     )
 
@@ -211,18 +196,17 @@ class SignalDrives:
         self.names = seismometer.names
         self.signals = signals_of(during_run, self.period_s)
         self._points, self._averaged = points, averaged
-        self.drive = known_drive(points, self.signals, averaged=averaged)
+        self.drive = self.changed()
 
-    def delayed(self, delay_s: float, drift: float = 0.0) -> KnownDrive:
-        """The drive by all signals, later by `delay_s` and by `drift` a second from the run's middle."""
+    def changed(
+        self, delay_s: float = 0.0, drift: float = 0.0, rest_weight: float = FREE_REST_WEIGHT
+    ) -> KnownDrive:
+        """The drive by all signals, later by `delay_s` and by `drift` a second from the run's middle, with a
+        weight of a half-cycle's own samples in its equilibrium."""
         time = self.signals.time_s
         middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
         signals = replace(self.signals, time_s=time + delay_s + drift * (time - middle))
-        return known_drive(self._points, signals, averaged=self._averaged)
-
-    def with_rest_weight(self, weight: float) -> KnownDrive:
-        """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
-        return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
+        return known_drive(self._points, signals, averaged=self._averaged, rest_weight=rest_weight)
 
 
 class ClockCorrection(NamedTuple):
@@ -259,7 +243,6 @@ class _Search:
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
         """
-        assert self.alone.ground is not None
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
         for corrections in range(_MAX_CORRECTIONS + 1):
@@ -272,7 +255,7 @@ class _Search:
                 )
             use = SeismometerUse(
                 missing_half_cycles=int(np.count_nonzero(drives.drive.missing)),
-                ground_alone_rad_per_s2_rthz=self.alone.ground.density_rad_per_s2_rthz,
+                ground_alone_rad_per_s2_rthz=self.alone.ground_fit.density_rad_per_s2_rthz,
             )
             count = len(drives.drive.missing)
             if use.missing_half_cycles > (1 - _MIN_COVERED_SHARE) * count:
@@ -346,8 +329,8 @@ class _Search:
         evidence = replace(fit.evidence, drive=drive)
         model = ExactModel(self.points, self.pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
         assert model.known_drive is not None
-        assert fit.ground is not None
-        noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+        noise = fit.ground_fit.noise
+        noise = replace(noise, step=noise.step / model.reference)
         filtered = model.filtered(model.parametrisation.from_physical(fit.named_values), noise)
         by_gains = filtered.jacobian[:, : drive.terms] / model.known_drive.unit
         return filtered.residuals, by_gains, filtered.jacobian[:, drive.terms :]
@@ -355,10 +338,8 @@ class _Search:
     def _gain(
         self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int], further: Sequence[int]
     ) -> float:
-        """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks.
-
-        -inf where a residual or its derivative is not finite.
-        """
+        """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks;
+        -inf where a residual or its derivative is not finite."""
         drive = self._drive(fit, drives, [*chosen, *further])
         residuals, by_gains, by_law = self._residuals(fit, drive)
         candidates = by_gains[:, len(chosen) :]
@@ -380,21 +361,19 @@ class _Search:
     ) -> ClockCorrection:
         """Correction of the seismometer's clock by a fit with some signals, with free gain and phase.
 
-        A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes
-        that up; the delay shows in the change of the phase within the band to which a half-swing responds.
-        The weight of a half-cycle's own samples in its equilibrium position, which is known only roughly,
-        has such an effect as well.
+        A delay shows in the change of the phase within the band to which a half-swing responds. So does the
+        weight of a half-cycle's own samples in its equilibrium position, which is known only roughly.
         """
         drive = self._drive(fit, drives, chosen)
         delay_s = _SHIFT_PERIODS * drives.period_s
         drift = delay_s / (0.5 * float(self.points.time_s[-1] - self.points.time_s[0]))
         derivatives = []
-        heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
-        for larger, smaller, size in (
-            (drives.delayed(delay_s), drives.delayed(-delay_s), delay_s),
-            (drives.delayed(0.0, drift), drives.delayed(0.0, -drift), drift),
-            (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
+        for name, middle, size in (
+            ("delay_s", 0.0, delay_s),
+            ("drift", 0.0, drift),
+            ("rest_weight", FREE_REST_WEIGHT, _WEIGHT_CHANGE),
         ):
+            larger, smaller = (drives.changed(**{name: middle + change}) for change in (size, -size))
             change = (larger.steps - smaller.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
             derivatives.append(np.where(larger.missing | smaller.missing, 0.0, change))
         count = len(derivatives)

@@ -6,7 +6,7 @@ coordinates z of terms, each with its prior about zero. Rows are in units of the
 sizes of groups of coordinates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import log, sqrt
 from typing import NamedTuple
@@ -26,51 +26,34 @@ from processing.swing import TurningPoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """One or more coordinates that move the residuals of a fit in addition to the law's.
-
-    Attributes
-    ----------
-    name
-        Name of the term's line in the budget.
-    columns
-        Derivatives (rows, m) of the residuals by the coordinates.
-    prior
-        Prior standard uncertainty of each coordinate about zero; infinite where nothing is known.
-    report
-        Use by a result: its values `move` to those with the term, or they stay and their uncertainties
-        `cover` the term.
-    """
+    """One or more coordinates that move the residuals of a fit in addition to the law's."""
 
     name: str
+    """Name of the term's line in the budget."""
     columns: Floats = field(repr=False)
+    """Derivatives (rows, m) of the residuals by the coordinates."""
     prior: float | Floats = np.inf
+    """Prior standard uncertainty of each coordinate about zero; infinite where nothing is known."""
     report: str = "move"
+    """Use by a result: its values `move` to those with the term, or they stay and their uncertainties `cover`
+    the term."""
 
 
 class TermSolution(NamedTuple):
-    """Coordinates of terms, in the order in which they were given, and their effect on the law's.
-
-    Attributes
-    ----------
-    values, covariance
-        Values (m,) and covariance (m, m) of the coordinates; infinite where neither data nor a prior
-        determine one.
-    root
-        Root (m, k) of the covariance.
-    law_shift
-        Change (n,) of the law's coordinates by the terms.
-    law_by_terms
-        Derivatives (n, m) of the fitted law's coordinates by those of the terms.
-    residuals
-        Residuals that neither law nor terms explain.
-    """
+    """Coordinates of terms, in the order in which they were given, and their effect on the law's."""
 
     values: Floats
+    """Coordinates (m,)."""
     covariance: Floats
+    """Their covariance (m, m); infinite where neither data nor a prior determine one."""
     root: Floats
+    """Root (m, k) of the covariance."""
     law_shift: Floats
+    """Change (n,) of the law's coordinates by the terms."""
     law_by_terms: Floats
+    """Derivatives (n, m) of the fitted law's coordinates by those of the terms."""
     residuals: Floats
+    """Residuals that neither law nor terms explain."""
 
     def scatter(self, dof: int) -> float:
         """Standard deviation of the residuals, at least the stated one, 1."""
@@ -116,11 +99,6 @@ class RestrictedLikelihood:
         Residuals of the law in units of their scatter, and their derivatives with respect to its coordinates.
     groups
         Derivatives (rows, m) of the residuals by the coordinates of each group, for the size 1.
-
-    Attributes
-    ----------
-    law
-        The law's derivatives, factored.
     """
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
@@ -161,25 +139,18 @@ class RestrictedLikelihood:
 
 
 class DrivenRows(NamedTuple):
-    """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence.
-
-    They are NaN where the filter has no value.
-
-    Attributes
-    ----------
-    residuals, jacobian, by_errors
-        Residuals (rows,), and their derivatives with respect to the law's coordinates and errors of the law.
-    log_det
-        ln det of the covariance of the rows of the turning points.
-    points
-        Number of rows of turning points.
-    """
+    """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence."""
 
     residuals: Floats
+    """(rows,); NaN where the filter has no value."""
     jacobian: Floats
+    """(rows, n) by the law's coordinates."""
     by_errors: Floats
+    """(rows, m) by errors of the law."""
     log_det: float
+    """ln det of the covariance of the rows of the turning points."""
     points: int
+    """Number of rows of turning points."""
 
     @classmethod
     def of(
@@ -225,42 +196,33 @@ class DrivenRows(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearisedFit:
-    """An exact fit that has ended: its residuals in units of their scatter, and their derivatives.
-
-    Attributes
-    ----------
-    fit, model, coordinates
-        The fit, the model with its noise, and the solver's coordinates at which it ended.
-    scale
-        The factor by which the turning points scatter more than stated.
-    residuals, jacobian
-        Of turning points and evidence, (rows,) and (rows, n).
-    to_physical
-        Derivatives of the fit's values with respect to the coordinates.
-    """
+    """An exact fit that has ended: its residuals in units of their scatter, and their derivatives."""
 
     fit: FitResult
     model: ExactModel
+    """The model with the fit's noise."""
     coordinates: Floats
+    """The solver's coordinates at which the fit ended."""
     scale: float
+    """The factor by which the turning points scatter more than stated."""
     residuals: Floats
+    """Of turning points, then of the evidence (rows,)."""
     jacobian: Floats
     to_physical: Floats
+    """Derivatives of the fit's values with respect to the coordinates."""
 
     @classmethod
     def of(cls, points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> "LinearisedFit":
         """The linearised fit of these points; raises DataError for another method than the exact one."""
-        if fit.method is not FitMethod.EXACT or fit.ground is None:
+        if fit.method is not FitMethod.EXACT:
             raise DataError(f"terms are added to an exact fit, and this one is {fit.method}")
         model, coordinates = ExactModel.of(points, pendulum, fit)
         residuals, jacobian = model(coordinates)
-        scale = model.scale
-        to_physical = model.parametrisation.physical(coordinates)[1]
+        scale, to_physical = model.scale, model.parametrisation.physical(coordinates)[1]
         return cls(fit, model, coordinates, scale, residuals / scale, jacobian / scale, to_physical)
 
     @property
     def points(self) -> TurningPoints:
-        """Turning points of the fit."""
         return self.model.points
 
     @property
@@ -268,31 +230,29 @@ class LinearisedFit:
         """The noise by which the fit weighted its residuals."""
         return self.model.noise_of(self.fit)
 
-    def residual_changes(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
+    def noises(self, drive_factors: Iterable[float]) -> list[Noise]:
+        """The noise with multiples of the likeliest drive; where that is 0, of a small one."""
+        own = self.noise
+        largest = own.step if own.step > 0 else 1e-3 * float(np.median(self.model.u_amplitude))
+        return [replace(own, step=largest * factor) for factor in drive_factors]
+
+    def residual_changes(self, amplitude: Floats | float = 0.0, time_s: Floats | float = 0.0) -> Floats:
         """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
-        if amplitude is None:
-            assert time_s is not None
-            amplitude = np.zeros_like(time_s)
-        time_s = np.zeros_like(amplitude) if time_s is None else time_s
-        model, points = self.model, self.points
-        relative = amplitude / model.reference
-        changes = []
-        for amplitude_error, time_error in zip(relative.T, time_s.T, strict=True):
+        model, changes = self.model, []
+        errors = np.broadcast_arrays(np.divide(amplitude, self.model.reference), time_s)
+        for amplitude_error, time_error in zip(*(error.T for error in errors), strict=True):
             # a small step, since a filter with a limit is linear only near its values
-            largest_u = max(
-                float(np.max(np.abs(amplitude_error / model.u_amplitude))),
-                float(np.max(np.abs(time_error / points.u_time_s))),
-            )
+            errors_u = amplitude_error / model.u_amplitude, time_error / self.points.u_time_s
+            largest_u = float(np.max(np.abs(errors_u)))
             step = _DERIVATIVE_STEP_U / max(largest_u, 1e-300)
             larger = model.with_larger_measurements(step * amplitude_error, step * time_error)
             changes.append((larger(self.coordinates)[0] / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
 
     def loss_derivatives(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
-        """Derivatives (rows,) of the residuals by the size of a further loss.
+        """Derivatives (rows,) of the residuals by the size of a further loss, a function of the amplitude.
 
-        The loss is a function of the amplitude, both in units of the reference. `waveform` is added
-        to the law's own values for the waveform that belongs to a size of 1.
+        `waveform` is added to the law's values for the waveform that belongs to a size of 1.
         """
         model, coordinates = self.model, self.coordinates
         _, law_loss = model.losses(coordinates)
@@ -303,11 +263,15 @@ class LinearisedFit:
         rows = DrivenRows.of(model, coordinates, self.noise, further, of_waveform[:, None])
         return rows.in_scatter(self.scale).by_errors[:, 0]
 
-    def parameter_changes(self, columns: Floats) -> Floats:
-        """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""
+    def value_changes(self, columns: Floats) -> Floats:
+        """Changes (values, m) of the fit's values where residuals are larger by (rows, m)."""
         good = np.isfinite(self.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-        changes = self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
-        return -changes[[self.fit.names.index(name) for name in self.fit.contact_names]]
+        return -self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
+
+    def parameter_changes(self, columns: Floats) -> Floats:
+        """The same of the contact parameters alone."""
+        places = [self.fit.names.index(name) for name in self.fit.contact_names]
+        return self.value_changes(columns)[places]
 
     def solve_terms(self, *terms: Term) -> TermSolution:
         """The terms and the law together, near the end of the fit."""

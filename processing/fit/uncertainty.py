@@ -222,35 +222,31 @@ GROUND = "ground"
 
 @dataclass(frozen=True, slots=True)
 class BudgetSource:
-    """Contribution of one source to the uncertainty of one quantity.
-
-    `type` is A for a source estimated from the data, B for a stated one. `sensitivity` is the derivative of
-    the quantity by the source, NaN for the fit, which has several parameters. `contribution` is the resulting
-    standard uncertainty in the quantity's unit, and `share` its fraction of the combined variance.
-    """
+    """Contribution of one source to the uncertainty of one quantity."""
 
     source: str
     type: Literal["A", "B"]
+    """A for a source estimated from the data, B for a stated one."""
     u_source: Annotated[float, Quantity("", "of the source", unit=OF + "source")]
     sensitivity: Annotated[
         float, Quantity("", "derivative with respect to the source", unit=OWN + PER + OF + "source")
     ]
+    """Derivative with respect to the source; NaN for the fit, which has several parameters."""
     contribution: Annotated[float, PART]
+    """Resulting standard uncertainty in the quantity's unit."""
     share: float
+    """Fraction of the combined variance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """GUM budget of one quantity, largest contribution first.
-
-    `unit` is that of the value. `degrees_of_freedom` are the effective ones (Welch-Satterthwaite), infinite
-    where all sources are stated.
-    """
+    """GUM budget of one quantity, largest contribution first."""
 
     unit: str = ""
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     degrees_of_freedom: float = nan
+    """Effective ones (Welch-Satterthwaite), infinite where all sources are stated."""
     sources: Annotated[tuple[BudgetSource, ...], PART] = ()
 
     @property

@@ -53,39 +53,28 @@ _PLACE_ITERATIONS = 4
 """Iterations for the true place: each reduces its error by the slope of the map, a few per cent."""
 _PHASES = 512
 """Number of phases of an integral over a cycle. The errors of amplitudes differ by 2.6e-6 of themselves from
-those with 16,384 phases, at any correlation length.
-"""
+those with 16,384 phases, at any correlation length."""
 
 
 @dataclass(frozen=True)
 class PositionMap:
-    """Error of the measured deflection at every place of the range that a run swept.
-
-    Attributes
-    ----------
-    splines
-        Splines of the place, which is a true deflection in the unit of the measured ones.
-    coefficients, covariance
-        Most likely coefficients of the splines (count,), and their covariance. A constant error, which no
-        free swing shows, is as uncertain as errors of this size and correlation length allow; an error of
-        scale is as uncertain as the size of the errors (see `PositionMapSearch`).
-    correlation_length
-        Distance over which the error changes, in the unit of the deflections.
-    significance
-        Score of the error in its standard deviations (see `search.SIGNIFICANT`).
-    cycles
-        Number of cycles from which the map follows.
-    noise_scale
-        Scatter of the residuals of whole cycles, relative to their samples' uncertainties.
-    """
+    """Error of the measured deflection at every place of the range that a run swept."""
 
     splines: Splines
+    """Splines of the place, which is a true deflection in the unit of the measured ones."""
     coefficients: Floats
+    """Most likely coefficients of the splines (count,)."""
     covariance: Floats
+    """A constant error, which no free swing shows, is as uncertain as errors of this size and correlation
+    length allow; an error of scale is as uncertain as the size of the errors."""
     correlation_length: float
+    """Distance over which the error changes, in the unit of the deflections."""
     significance: float
+    """Score of the error in its standard deviations (see `search.SIGNIFICANT`)."""
     cycles: int
+    """Number of cycles from which the map follows."""
     noise_scale: float
+    """Scatter of the residuals of whole cycles, relative to their samples' uncertainties."""
 
     def error(self, place: Floats) -> Floats:
         """Error (n,) at true deflections `place`; 0 where they are NaN."""

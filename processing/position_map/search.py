@@ -41,8 +41,7 @@ SIGNIFICANT = 12.0
 """Score in its standard deviations above which the error is accepted.
 
 Noise gives such a score with a probability of 2e-5 for each correlation length, if the error has a single
-degree of freedom, in which case the score scatters most.
-"""
+degree of freedom, in which case the score scatters most."""
 
 
 class NormalEquations(NamedTuple):
@@ -53,29 +52,21 @@ class NormalEquations(NamedTuple):
     score: Floats
     """``J^T W r``."""
 
-    @property
-    def spline_count(self) -> int:
-        return len(self.score) - SHARED_PARAMETERS
-
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
         """Equations of the splines with the common columns free; `scale` is the variance of the residuals."""
-        count = self.spline_count
         gain = self.common_gain()
         return NormalEquations(
-            (self.information[:count, :count] - gain @ self.information[count:, :count]) / scale,
-            (self.score[:count] - gain @ self.score[count:]) / scale,
+            (self.information[:_SPLINES, :_SPLINES] - gain @ self.information[_SPLINES:, :_SPLINES]) / scale,
+            (self.score[:_SPLINES] - gain @ self.score[_SPLINES:]) / scale,
         )
 
     def common_gain(self) -> Floats:
         """Gain (splines, SHARED_PARAMETERS) of the splines' score by the score of the free common columns."""
-        return np.asarray(
-            self.information[: self.spline_count, self.spline_count :] @ self._inverse(), dtype=np.float64
-        )
+        return np.asarray(self.information[:_SPLINES, _SPLINES:] @ self._inverse())
 
     def complete(self, coefficients: Floats) -> Floats:
         """Coefficients of the splines, followed by the likeliest ones of the common columns given these."""
-        count = self.spline_count
-        score = self.score[count:] - self.information[count:, :count] @ coefficients
+        score = self.score[_SPLINES:] - self.information[_SPLINES:, :_SPLINES] @ coefficients
         return np.concatenate([coefficients, self._inverse() @ score])
 
     def explained(self, coefficients: Floats) -> float:
@@ -83,7 +74,7 @@ class NormalEquations(NamedTuple):
         return float(2.0 * coefficients @ self.score - coefficients @ self.information @ coefficients)
 
     def _inverse(self) -> Floats:
-        common = self.information[self.spline_count :, self.spline_count :]
+        common = self.information[_SPLINES:, _SPLINES:]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(common), 1e-300))
         inverse = np.linalg.pinv(common * np.outer(scale, scale), rcond=1e-10, hermitian=True)
         return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
@@ -97,15 +88,10 @@ def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 class Accumulator:
-    """Normal equations summed over cycles, with the parameters of each cycle free.
+    """Normal equations summed over `cycles` so far, with the parameters of each cycle free.
 
     The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
     the large matrix is not computed for every cycle.
-
-    Attributes
-    ----------
-    cycles
-        Number of cycles so far.
     """
 
     def __init__(self, splines: Splines) -> None:
@@ -115,7 +101,7 @@ class Accumulator:
         self._mixed_products = np.zeros((splines.count, SHARED_PARAMETERS))
         self._common = np.zeros((SHARED_PARAMETERS, SHARED_PARAMETERS))
         self._own_columns: list[Floats] = []
-        self._own_products: Floats | None = None
+        self._own_products = np.zeros((splines.count, splines.count))
         self._score = np.zeros(splines.count + SHARED_PARAMETERS)
 
     def add(self, cycle: CycleResiduals) -> Floats:
@@ -162,8 +148,7 @@ class Accumulator:
                 distance, : splines - distance
             ]
         self._add_own_products()
-        if self._own_products is not None:
-            information[:splines, :splines] -= self._own_products
+        information[:splines, :splines] -= self._own_products
         information[:splines, splines:] = self._mixed_products
         information[splines:, :splines] = self._mixed_products.T
         information[splines:, splines:] = self._common
@@ -173,8 +158,7 @@ class Accumulator:
         if self._own_columns:
             columns = np.column_stack(self._own_columns)
             self._own_columns.clear()
-            products = columns @ columns.T
-            self._own_products = products if self._own_products is None else self._own_products + products
+            self._own_products += columns @ columns.T
 
 
 class _LikelihoodPeak(NamedTuple):
@@ -305,9 +289,8 @@ class PositionMapSearch:
 def _significance(prior: Floats, scores: Floats) -> float:
     """Score for an error common to all cycles, in its standard deviations for independent cycles.
 
-    With the sum g of the scores, their covariance S and the prior C of the error it is
-    ``(g.C g - tr CS) / sqrt(2 tr CSCS)``. S is taken from second differences d of the scores, which have
-    six times their variance: neighbouring cycles pass the same places, and a common error drops out.
+    With the sum g of the scores, their covariance S and the prior C it is ``(g.C g - tr CS) / sqrt(2 tr
+    CSCS)``. Second differences of the scores have six times S, and a common error drops out of them.
     """
     difference = scores[:-2] - 2.0 * scores[1:-1] + scores[2:]
     scale = len(scores) / (6.0 * len(difference))

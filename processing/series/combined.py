@@ -25,31 +25,22 @@ _MAX_LIMIT_DISTANCE = 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CombinedValue:
-    """One parameter over a series of runs.
-
-    Attributes
-    ----------
-    value, standard_uncertainty
-        Mean weighted by within-run and between-run variance, and its standard uncertainty, which contains
-        both and is at least `within_runs`.
-    within_runs
-        Standard uncertainty of the mean from the runs' own uncertainties only.
-    between_runs
-        Standard deviation between runs in excess of their own uncertainties; 0 if there is none.
-    p_homogeneous
-        Probability of a scatter at least as large if only the runs' own uncertainties contribute.
-    by_air
-        Part of `standard_uncertainty`, with its sign, by the prior of the air. All runs share it, so that
-        more runs do not reduce it.
-    """
+    """One parameter over a series of runs."""
 
     value: Annotated[float, PART]
+    """Mean weighted by within-run and between-run variance."""
     standard_uncertainty: Annotated[float, PART]
+    """It contains the scatter within and between runs, and is at least `within_runs`."""
     degrees_of_freedom: int = 0
     within_runs: Annotated[float, PART] = nan
+    """Standard uncertainty of the mean from the runs' own uncertainties only."""
     between_runs: Annotated[float, PART] = nan
+    """Standard deviation between runs in excess of their own uncertainties; 0 if there is none."""
     p_homogeneous: float = nan
+    """Probability of a scatter at least as large if only the runs' own uncertainties contribute."""
     by_air: Annotated[float, PART] = 0.0
+    """Part of `standard_uncertainty`, with its sign, by the prior of the air. All runs share it, so that more
+    runs do not reduce it."""
     runs: Annotated[tuple[Estimate, ...], PART] = ()
 
     @property
@@ -96,12 +87,8 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
 
     The between-run variance is that of Mandel and Paule, with which the weighted sum of squares equals its
     expectation. The uncertainty of the mean is that of Hartung and Knapp, with Student's t for the number of
-    runs minus one, but at least the within-run part.
-
-    Raises
-    ------
-    DataError
-        Fewer than two runs, or a run whose uncertainty is not positive and finite.
+    runs minus one, but at least the within-run part. Raises DataError for fewer than two runs, or one whose
+    uncertainty is not positive and finite.
     """
     from scipy.special import chdtrc
 
@@ -191,8 +178,6 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
 
     The covariance of the combined fit has the mean within-run correlations and the combined uncertainties.
     """
-    if len(results) < 2:
-        raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {name: _combined(name, results) for name in names}
     first, places = results[0], [[result.names.index(name) for name in names] for result in results]
@@ -238,12 +223,8 @@ def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
 
 
 def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:
-    """Compare each run with the others, parameter by parameter, with Bonferroni's correction.
-
-    Of two runs it cannot be decided which is wrong, and both are reported. The scatter of the others is used
-    with its few degrees of freedom, unless it agrees with their own uncertainties, which are then used
-    instead.
-    """
+    """Compare each run with the others, parameter by parameter, with Bonferroni's correction; of two runs
+    both are reported. The others' scatter counts, unless it agrees with their own uncertainties."""
     from scipy.special import stdtr
 
     disagreements, count = [], len(results)

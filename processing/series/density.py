@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
+from processing.arrays import Floats
 from processing.errors import DataError
 from processing.series.model import Design, SeriesModel, design_of
 from processing.series.runs import ORDER, CompressedRun, Effect, Form, covariate_of
@@ -38,12 +38,7 @@ class Spread(NamedTuple):
 
 def between_runs(design: Design, h: Floats) -> Floats:
     """Variances (M, k) between runs."""
-    return np.where(design.scatter >= 0, np.exp(2 * _log_scatters(h, design.scatter)), 0.0)
-
-
-def _log_scatters(h: Floats, places: Ints) -> Floats:
-    """Logarithms of scatters (M, places); 0 at the place -1, which stands for no scatter."""
-    return np.asarray(np.pad(h, ((0, 0), (0, 1)))[:, places])
+    return np.asarray(np.exp(2 * h[:, : design.y.shape[1]]))
 
 
 def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
@@ -65,7 +60,7 @@ def log_determinant(matrices: Floats) -> Floats:
 
 def _prior_precision(design: Design, h: Floats) -> Floats:
     """Inverse prior variances (M, P) of the latent numbers."""
-    return np.where(design.varies >= 0, np.exp(_log_scatters(h, design.varies)), design.prior_u) ** -2
+    return np.where(design.varies >= 0, np.exp(h[:, design.varies]), design.prior_u) ** -2
 
 
 def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
@@ -189,9 +184,6 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
 
     begin = np.log(0.2 * design.scales) if start is None else start
     size, w = len(begin), design.prior_mean
-    if not size:
-        value, likeliest_w = log_marginal(design, np.zeros((1, 0)), w)
-        return Laplace(np.zeros(0), np.zeros((0, 0)), likeliest_w[0], float(value[0]))
 
     def fall(h: Floats) -> tuple[float, Floats]:
         nonlocal w

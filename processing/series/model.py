@@ -39,32 +39,20 @@ _BAD_FACTORS = (3.0, 10.0, 30.0)
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesModel:
-    """Assumptions about a series.
-
-    Attributes
-    ----------
-    names
-        The coordinates that are modelled; others of the runs are left out.
-    sizes
-        By coordinate, the prior standard deviation of an effect over the series (normal about zero) and of
-        the scatter between runs (half-normal).
-    levels
-        Priors of levels by coordinate, where something is known.
-    scatter
-        The coordinates that scatter between runs; None: all.
-    contacts_alike
-        Whether contacts are of one kind and scatter about its mean; else their levels are unrelated.
-    bad_run_chance
-        Prior probability of a run to be bad.
-    """
+    """Assumptions about a series."""
 
     names: tuple[str, ...]
+    """The coordinates that are modelled, each with a scatter between runs; others are left out."""
     effects: tuple[Effect, ...] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
+    """By coordinate, the prior standard deviation of an effect over the series (normal about zero) and of the
+    scatter between runs (half-normal)."""
     levels: Mapping[str, Estimate] = field(default_factory=dict)
-    scatter: tuple[str, ...] | None = None
+    """Priors of levels by coordinate, where something is known."""
     contacts_alike: bool = False
+    """Whether contacts are of one kind and scatter about its mean; else their levels are unrelated."""
     bad_run_chance: float = 0.02
+    """Prior probability of a run to be bad."""
 
     def size(self, name: str) -> float:
         """The usual size of a coordinate; that of friction is b's if it is not stated."""
@@ -126,12 +114,10 @@ class Design(NamedTuple):
     prior_u: Floats
     varies: Ints
     """Index (P,) of the scatter of each latent number; -1 for none."""
-    scatter: Ints
-    """Index (k,) of each coordinate's scatter between runs; -1 for none."""
     scales: Floats
     """Scales (H,) of the scatters' half-normal priors."""
     hyper: tuple[LatentNumber, ...]
-    """The scatters (H,)."""
+    """The scatters (H,), first those between runs (k,)."""
     bounds: Bounds
     log_kind: Floats
     """Logarithms (K,) of the prior probabilities of good and bad runs."""
@@ -142,17 +128,13 @@ class Design(NamedTuple):
 def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     """The arrays of a model over runs.
 
-    Raises
-    ------
-    DataError
-        No runs, an unknown parameter of an effect, or a coordinate that no run has.
+    Raises DataError without runs, for an unknown parameter of an effect, or a coordinate that no run has.
     """
     if not runs:
         raise DataError("a series needs runs")
     names, count = model.names, len(runs)
     latent: list[tuple[LatentNumber, Floats, float, float, int]] = []
-    scattering = [name for name in names if model.scatter is None or name in model.scatter]
-    hyper = [LatentNumber("between runs", name) for name in scattering]
+    hyper = [LatentNumber("between runs", name) for name in names]
     contacts = list(dict.fromkeys(run.contact for run in runs))
     alike = model.contacts_alike and len(contacts) > 1
     for place, name in enumerate(names):
@@ -160,9 +142,8 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         measured = measured or [run.bounds[name].limit for run in runs if name in run.bounds]
         if not measured:
             raise DataError(f"{name}: no run of the series determines it; leave it out of the parameters")
-        prior = model.levels.get(
-            name, Estimate(float(np.median(measured)), _UNKNOWN_LEVEL * model.size(name))
-        )
+        unknown = Estimate(float(np.median(measured)), _UNKNOWN_LEVEL * model.size(name))
+        prior = model.levels.get(name, unknown)
         all_runs = np.zeros((count, len(names)))
         all_runs[:, place] = 1.0
         if alike:
@@ -201,7 +182,6 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         y, covariance, has, x * has[:, :, None],
         np.array(blurred).reshape(-1, count, len(names)) * has, np.array(blurred_by, dtype=np.int64),
         levels, np.array(mean), np.array(u), np.array(varies, dtype=np.int64),
-        np.array([scattering.index(name) if name in scattering else -1 for name in names], dtype=np.int64),
         np.array([model.size(level.name) for level in hyper]), tuple(hyper), _bounds(runs, names, x),
         log_kind, np.array([1.0, *_BAD_FACTORS]),
     )  # fmt: skip
@@ -210,9 +190,8 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
 def _prior_of_bounded(runs: Sequence[CompressedRun], contact: str, name: str) -> Estimate | None:
     """Prior of the level of a contact that runs only bound on one side; None otherwise.
 
-    A prior that is even in the logarithm would put the level far from the limit in nearly all cases, and the
-    limit of the posterior far beyond that of the runs. This prior rises towards the limit as the parameter
-    itself, or its inverse.
+    One that is even in the logarithm would put the level far from the limit in nearly all cases. This one
+    rises towards the limit as the parameter itself, or its inverse.
     """
     side = only_bound(runs, contact, name)
     if side is None:

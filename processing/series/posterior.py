@@ -12,7 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from processing.arrays import Floats
-from processing.errors import ConfigurationError, optional_module
+from processing.errors import optional_module
 from processing.estimate import Estimate
 from processing.series.density import (
     between_runs,
@@ -181,7 +181,7 @@ def fit_series(
         log_h = log_z - 0.5 * log_determinant(covariance)
         posterior, log_ratio = _weighted(rng, runs, model, design, maximum.w, h, log_h)
         best = posterior if best is None or posterior.effective > best.effective else best
-        if posterior.effective > _ENOUGH_SHARE * draws or not len(centre):
+        if posterior.effective > _ENOUGH_SHARE * draws:
             break
         # tempered, so that few draws do not make the next round narrow
         tempered = _weights(0.5 * log_ratio)
@@ -207,11 +207,8 @@ def _weighted(
     h: Floats,
     log_h: Floats,
 ) -> tuple[SeriesPosterior, Floats]:
-    """The posterior by draws of the scatters `h` and the log density that they were drawn from, `log_h`, and
-    the logarithms of its weights before normalisation.
-
-    Latent numbers are drawn about the likeliest ones for each draw of the scatters.
-    """
+    """The posterior by draws of the scatters `h` with the log density `log_h`, the latent numbers drawn about
+    their likeliest ones, and the logarithms of its weights before normalisation."""
 
     def draws_of_levels(h: Floats) -> tuple[Floats, Floats]:
         z, log_z = _students(rng, (len(h), len(start)), _LATENT_DOF)
@@ -230,8 +227,6 @@ def _students(rng: np.random.Generator, shape: tuple[int, int], dof: float) -> t
     from scipy.special import gammaln
 
     draws, size = shape
-    if not size:
-        return np.zeros(shape), np.zeros(draws)
     stretch = np.sqrt(dof / rng.chisquare(dof, draws))
     z = rng.standard_normal(shape) * stretch[:, None]
     constant = gammaln(0.5 * (dof + size)) - gammaln(0.5 * dof) - 0.5 * size * np.log(dof * np.pi)
@@ -259,14 +254,12 @@ def sample_series(
 ) -> SampledPosterior:
     """Draws of the full posterior by four independent ensembles of walkers about Laplace's maximum.
 
-    Raises ConfigurationError where emcee is not installed, or the model has no scatter.
+    Raises ConfigurationError where emcee is not installed.
     """
     emcee = optional_module("emcee", "--sample", "emcee", "series", "leave it out")
     design = design_of(runs, model)
     maximum, rng = likeliest(design), np.random.default_rng(seed)
     size = len(maximum.h)
-    if not size:
-        raise ConfigurationError("the sampler explores scatters, and the model has none: leave it out")
     # walkers move in coordinates z in which the maximum is a sphere
     factor = np.linalg.cholesky(maximum.covariance)
 

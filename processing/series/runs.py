@@ -31,39 +31,35 @@ _MAX_LOGARITHM = 200.0
 def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> tuple[Floats, Floats]:
     """Coordinates (k,) of parameters at the reference amplitude, and their derivatives (k, k) by the
     parameters; those of `POSITIVE` must be above 0."""
-    coordinates, slopes = values.astype(np.float64), np.eye(len(names))
-    for place, name in enumerate(names):
-        if name in POSITIVE:
-            coordinates[place], slopes[place, place] = np.log(values[place]), 1 / values[place]
-        exponent, offset = EXPONENT_OF.get(name, ("", 0.0))
-        if exponent in names:
-            other = list(names).index(exponent)
-            coordinates[place] += (values[other] - offset) * np.log(reference_rad)
-            slopes[place, other] = np.log(reference_rad)
-    return coordinates, slopes
+    by_exponents, shift = _by_exponents(names, reference_rad)
+    positive = np.isin(names, POSITIVE)
+    own = np.log(values, where=positive, out=values.astype(np.float64))
+    slopes = np.diag(1 / np.where(positive, values, 1.0)) + by_exponents
+    return own + by_exponents @ own - shift, slopes
 
 
 def parameters(names: Sequence[str], coordinates: Floats, reference_rad: float) -> Floats:
     """The parameters by their coordinates, along the last axis."""
-    values = np.array(coordinates, dtype=np.float64)
-    for place, name in enumerate(names):
-        exponent, offset = EXPONENT_OF.get(name, ("", 0.0))
-        if exponent in names:
-            exponents = coordinates[..., list(names).index(exponent)]
-            values[..., place] -= (exponents - offset) * np.log(reference_rad)
-        if name in POSITIVE:
-            values[..., place] = np.exp(np.minimum(values[..., place], _MAX_LOGARITHM))
-    return values
+    by_exponents, shift = _by_exponents(names, reference_rad)
+    own = coordinates - coordinates @ by_exponents.T + shift
+    positive = np.isin(names, POSITIVE)
+    return np.asarray(np.exp(np.minimum(own, _MAX_LOGARITHM), where=positive, out=own))
 
 
 def at_own_exponent(names: Sequence[str], reference_rad: float) -> Floats:
     """Derivatives (k, k) of the parameters, of the logarithms of those of `POSITIVE`, by the coordinates."""
-    slopes = np.eye(len(names))
+    return np.eye(len(names)) - _by_exponents(names, reference_rad)[0]
+
+
+def _by_exponents(names: Sequence[str], reference_rad: float) -> tuple[Floats, Floats]:
+    """Derivatives (k, k) of the coordinates by exponents of others, and what is subtracted (k,)."""
+    by_exponents, shift = np.zeros((len(names), len(names))), np.zeros(len(names))
     for place, name in enumerate(names):
-        exponent, _ = EXPONENT_OF.get(name, ("", 0.0))
+        exponent, offset = EXPONENT_OF.get(name, ("", 0.0))
         if exponent in names:
-            slopes[place, list(names).index(exponent)] = -np.log(reference_rad)
-    return slopes
+            by_exponents[place, list(names).index(exponent)] = log(reference_rad)
+            shift[place] = offset * log(reference_rad)
+    return by_exponents, shift
 
 
 class EndSide(StrEnum):
@@ -84,35 +80,26 @@ class Bound(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CompressedRun:
-    """The likelihood of one run, in coordinates, with its covariates.
-
-    Attributes
-    ----------
-    names, values, covariance
-        Maximum of the likelihood and the inverse of its curvature, by the run's own data alone.
-    shared
-        Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
-        They are no part of `covariance`.
-    bounds
-        Values that the run only bounds, by name; they are none of `names`.
-    covariates
-        Conditions of the run by name; unknown ones are left out.
-    by_growth
-        Changes of the values by a relative growth of the friction over the run by 1; None: not known.
-    duration_s
-        Time from the first turning point to the last.
-    """
+    """The likelihood of one run, in coordinates, with its covariates."""
 
     label: str
     contact: str
     names: tuple[str, ...]
     values: Floats
+    """Maximum of the likelihood by the run's own data alone."""
     covariance: Floats
+    """Inverse of its curvature there."""
     shared: Mapping[str, Floats] = field(default_factory=dict)
+    """Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
+    They are no part of `covariance`."""
     bounds: Mapping[str, Bound] = field(default_factory=dict)
+    """Values that the run only bounds, by name; they are none of `names`."""
     covariates: Mapping[str, float] = field(default_factory=dict)
+    """Conditions of the run by name; unknown ones are left out."""
     by_growth: Floats | None = None
+    """Changes of the values by a relative growth of the friction over the run by 1; None: not known."""
     duration_s: float = 0.0
+    """Time from the first turning point to the last."""
 
     def __post_init__(self) -> None:
         size = len(self.names)

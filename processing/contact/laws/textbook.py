@@ -1,25 +1,11 @@
 """Laws of the literature, with and without memory of the last reversal.
 
-- Coulomb: M = -m g R c sign(phi'). Each half-cycle loses 2 c and lasts T0/2.
-- Viscous: M = -m g R drag_s phi'. The decrement and the period are the same at every amplitude.
-- Dahl: the friction approaches its largest value exponentially with the angle since the reversal,
-  dM/ds = sigma m g R (1 - M/M_c) with M_c = m g R c.
-- Masing's rule: a backbone f(phi) that is doubled on every branch,
-
-    M = M_reversal - 2 m g R f(s/2) - m g R c sign(phi'),    s the angle since the reversal
-
-Rolling: ``f = k phi^q``, as Al-Bender & De Moerlooze (2008) find it before gross slip. A cycle loses
-``4 k (1-q)/(1+q) A^(q+1)``, as with b of Eq. 1 for p = q and b = k (1-q), and the period depends on the
-amplitude without any further parameter.
-
-Maxwell slip: springs in parallel, each of which slips beyond an angle of its own,
-
-    f = sum k_i min(phi, phi_i),    phi_i = 4, 12, 36, 90 arcsec
-
-Any backbone whose slope falls is such a sum; this one is determined by its four stiffnesses. Where a slider
-begins to slip, the loss of a half-cycle has a kink over the amplitude. The table of half-cycles rounds it, by
-2e-5 of amplitude and time; the derivatives with respect to the stiffnesses are wrong by 3 to 5 % there, and
-so may be uncertainties that depend on these amplitudes.
+- Coulomb: M = -m g R c sign(phi').
+- Viscous: M = -m g R drag_s phi'.
+- Dahl: dM/ds = sigma m g R (1 - M/(m g R c)), s the angle since the reversal.
+- Masing's rule: a backbone f doubled on every branch, M = M_reversal - 2 m g R f(s/2) - m g R c sign(phi').
+  Rolling before gross slip has f = k phi^q (Al-Bender & De Moerlooze 2008), springs that slip one after the
+  other (Maxwell) f = sum k_i min(phi, phi_i).
 """
 
 import numpy as np
@@ -37,10 +23,6 @@ def _rate(start: StartValues) -> float:
     return start.decay.c + max(start.decay.b, 0.0) / (start.decay.p + 1)
 
 
-def _coulomb_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    return [{"c": _rate(start), PERIOD: start.mean_period_s}]
-
-
 def _coulomb(parameters: Floats, _: float, __: float) -> Moments:
     c = float(parameters[0])
     friction = Moment((0,), lambda x: np.full_like(x, c), lambda x: np.array([c * x, x]))
@@ -55,12 +37,8 @@ COULOMB = memoryless_law(
     _coulomb,
     {"c": Scaling(1.0)},
     lambda _: logarithms_of(),
-    _coulomb_starts,
+    lambda start, _: [{"c": _rate(start), PERIOD: start.mean_period_s}],
 )
-
-
-def _viscous_starts(start: StartValues, _: float) -> list[dict[str, float]]:
-    return [{DRAG.key: 4 / np.pi * _rate(start), PERIOD: start.mean_period_s}]
 
 
 VISCOUS = memoryless_law(
@@ -71,7 +49,7 @@ VISCOUS = memoryless_law(
     lambda parameters, _, __: Moments(NO_MOMENT, NO_MOMENT),
     {},
     lambda _: logarithms_of(),
-    _viscous_starts,
+    lambda start, _: [{DRAG.key: 4 / np.pi * _rate(start), PERIOD: start.mean_period_s}],
 )
 
 
@@ -131,12 +109,8 @@ def _stiffness(q: ComplexOrReal) -> ComplexOrReal:
 
 
 def _scaled(values: ComplexOrReal) -> ComplexOrReal:
-    """k, q, c, drag and T0 from their coordinates, which decay and period determine.
-
-    These are ln of the loss, the contact's fraction of the stiffness (the rest is gravity's), c over the
-    stiffness, the drag, and the period at the reference amplitude. k is not determined if the contact is much
-    stiffer than gravity.
-    """
+    """k, q, c, drag and T0 from what decay and period determine: ln of the loss, the contact's fraction of
+    the stiffness, c over the stiffness, the drag, and the period at the reference amplitude."""
     log_loss, fraction, c, drag, period_s = values
     k = fraction / (1 - fraction)
     loss = (1 + k) * np.exp(log_loss)
@@ -182,8 +156,10 @@ MASING = branch_law(
 
 
 YIELD_ARCSEC = (4.0, 12.0, 36.0, 90.0)
-"""Angles at which springs slip, by factors of about three through the swings of the paper's runs, 124 to 2
-arcsec."""
+"""Angles phi_i at which springs slip, by factors of about three through the swings of the paper's runs.
+
+At each of them the loss has a kink over the amplitude. The table of half-cycles rounds it, by 2e-5 of
+amplitude and time; derivatives with respect to the stiffnesses are wrong by 3 to 5 % there."""
 _YIELD_RAD = tuple(np.deg2rad(angle / 3600).item() for angle in YIELD_ARCSEC)
 _KEYS = tuple(f"k{number}" for number in range(1, len(YIELD_ARCSEC) + 1))
 

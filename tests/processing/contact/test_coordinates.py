@@ -36,14 +36,6 @@ EVERY = pytest.mark.parametrize("drag", [False, True])
 
 
 @EVERY
-def test_parameters_come_back(points: TurningPoints, drag: bool) -> None:
-    columns = columns_of(points, drag)
-    names = PAPER.fit_names(drag=drag)
-    values, _ = columns.physical(columns.from_physical(VALUES))
-    assert values.tolist() == pytest.approx([VALUES[name] for name in names], rel=1e-9)
-
-
-@EVERY
 def test_columns_of_others_stand_before_those_of_the_law(points: TurningPoints, drag: bool) -> None:
     """As the gains of a seismometer; the parameters know nothing of them."""
     names, pendulum = PAPER.fit_names(drag=drag), paper_pair("steel")[1]
@@ -63,21 +55,6 @@ def test_columns_of_others_stand_before_those_of_the_law(points: TurningPoints, 
     start[[2, 2 + own.held("n").column]] = own.lower[[0, own.held("n").column]]
     assert both.at_limit(start) == own.at_limit(start[2:])
     assert {"b", "n"} <= set(both.at_limit(start))
-
-
-@EVERY
-def test_derivatives_are_those_of_differences(points: TurningPoints, drag: bool) -> None:
-    columns = columns_of(points, drag)
-    at = columns.from_physical(VALUES)
-    for conversion in (columns.physical, columns.map_parameters):
-        values, by = conversion(at)
-        for k in range(len(at)):
-            step = np.zeros(len(at))
-            step[k] = 1e-6 * max(abs(at[k]), 0.1)
-            slope = (conversion(at + step)[0] - conversion(at - step)[0]) / (2 * step[k])
-            # a change of a column by its own size, or by one
-            scale = np.maximum(np.abs(values), np.abs(by[:, k] * max(abs(at[k]), 0.1))) + 1e-300
-            assert (slope - by[:, k]) * max(abs(at[k]), 0.1) / scale == pytest.approx(0, abs=1e-6)
 
 
 def test_adhesion_weakens_the_restoring_moment(points: TurningPoints) -> None:

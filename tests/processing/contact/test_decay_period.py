@@ -1,15 +1,12 @@
 """Eqs. 5 and 6 agree with direct quadrature, their limits, and each other."""
 
-import threading
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.contact import turning_points_of
-from processing.contact.asymptotic import cosine_moment, curvature, decay_path, period
+from processing.contact.asymptotic import decay_path, period
 from processing.contact.law import ContactParameters
-from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
+from tests.processing.fit.decays import ARCSEC, paper_pair
 
 
 def by_quadrature(low: float, high: float, b: float, p: float, c: float, period_s: float) -> float:
@@ -48,19 +45,11 @@ def test_derivatives_of_a_path_with_drag_are_those_of_differences() -> None:
 
 
 def test_constant_friction_ends_the_path_at_rest() -> None:
-    """In finite time, and there the computation ends, too; in a thread, which can be given up."""
+    """In finite time."""
     start, c = 3.0, 1e-3
     s = np.array([0.0, 0.5, 0.9, 1.001, 2.0]) * start / c
-    found: list[NDArray[np.float64]] = []
-
-    def follow() -> None:
-        found.append(decay_path(s, start, 0.0, 1.0, c, 0.0)[0])
-
-    thread = threading.Thread(target=follow, daemon=True)
-    thread.start()
-    thread.join(20.0)
-    assert found, "the amplitude falls for ever"
-    np.testing.assert_allclose(found[0], [3.0, 1.5, 0.3, np.nan, np.nan], rtol=1e-12)
+    path, _ = decay_path(s, start, 0.0, 1.0, c, 0.0)
+    np.testing.assert_allclose(path, [3.0, 1.5, 0.3, np.nan, np.nan], rtol=1e-12)
 
 
 def averaged_frequency_drop(
@@ -85,21 +74,3 @@ def test_eq6_is_the_average_of_eq3(n: float) -> None:
     rho = pendulum.ball_radius_m / pendulum.contact_radius_m
     expected = 4.0 / (1 - averaged_frequency_drop(alpha, n, kappa, rho))
     np.testing.assert_allclose(period(alpha, parameters, pendulum), expected, rtol=1e-10)
-
-
-def test_curvature_is_that_of_the_averaged_moment() -> None:
-    assert curvature(0.0) == pytest.approx(2 / np.pi * (2 / 3) / (np.pi / 4), rel=1e-14)
-    assert curvature(0.0) == pytest.approx(0.5404, abs=5e-5)
-    assert cosine_moment(0.0) == pytest.approx(np.pi / 2, rel=1e-15)
-
-
-@pytest.mark.parametrize("flat", PAIRS)
-def test_eq6_approaches_the_exact_period_at_small_amplitude(flat: str) -> None:
-    """The terms that Eq. 6 leaves out are of second order in friction and elasticity."""
-    parameters, pendulum = paper_pair(flat)
-    for alpha in (5 * ARCSEC, 50 * ARCSEC):
-        amplitude, time = turning_points_of(parameters, pendulum, alpha, 2)
-        expected = float(period(amplitude[1], parameters, pendulum))
-        drop = 1 - parameters.period0_s / expected
-        loss = 1 - amplitude[2] / amplitude[0]
-        assert abs(time[2] / expected - 1) < 2 * drop**2 + loss**2

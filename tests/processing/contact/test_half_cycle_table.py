@@ -12,6 +12,7 @@ from processing.contact.half_cycle_table import HalfCycleTable, iterate_decay
 from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.errors import DataError
+from tests.processing.contact.gradients import assert_gradients
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
 
@@ -124,20 +125,9 @@ def in_map(parameters: ContactParameters, pendulum: PendulumOnBall) -> NDArray[n
 @pytest.mark.parametrize("drag_s", [0.0, 1e-3])
 def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
     q = in_map(*paper_pair("glass_k8", drag_s))
-    index = np.array([0, 1, 2, 10, 57, 200], dtype=np.int64)
-    found = PAPER.turning_points(q, index)
-    assert np.isfinite(found.time).all()
-    for i in range(len(q)):
-        step = np.zeros_like(q)
-        step[i] = 1e-6 * max(abs(q[i]), 1e-3)
-        up, down = PAPER.turning_points(q + step, index), PAPER.turning_points(q - step, index)
-        for analytic, high, low in (
-            (found.amplitude_gradient[:, i], up.amplitude, down.amplitude),
-            (found.time_gradient[:, i], up.time, down.time),
-        ):
-            numeric = (high - low) / (2 * step[i])
-            # a central difference over 1e-6 of the value leaves the rounding of times of 200
-            np.testing.assert_allclose(analytic, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
+    # a central difference over 1e-6 of the value leaves the rounding of times of 200
+    steps = 1e-6 * np.maximum(np.abs(q), 1e-3)
+    assert_gradients(PAPER, q, np.array([0, 1, 2, 10, 57, 200]), steps, rtol=1e-5, of_largest=1e-5)
 
 
 def test_gaps_are_run_over_exactly() -> None:

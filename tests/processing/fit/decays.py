@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from processing.contact import turning_points_of
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.law import ContactParameters, PendulumOnBall
+from processing.fit import FitResult
 from processing.swing import TurningPoints
 
 ARCSEC = np.pi / 648000
@@ -83,3 +84,9 @@ def first_of(points: TurningPoints, count: int) -> TurningPoints:
 
 def truth(parameters: ContactParameters, names: tuple[str, ...]) -> NDArray[np.float64]:
     return np.array([getattr(parameters, name) for name in names if hasattr(parameters, name)])
+
+
+def pulls(fit: FitResult, parameters: ContactParameters, *names: str) -> NDArray[np.float64]:
+    """Errors of parameters, of all of the contact or of some, in standard uncertainties."""
+    estimates = {name: fit.estimate(name) for name in names or fit.contact_names}
+    return np.array([(value - getattr(parameters, name)) / u for name, (value, u) in estimates.items()])

@@ -7,7 +7,7 @@ analysis: no half-swing map, no quadrature, no filter.
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,19 +236,12 @@ def driven_decay(
     pendulum: PendulumOnBall,
     world: World = UNCHANGED,
     *,
-    q: float,
     noise_arcsec: float,
     seed: int,
-    first_arcsec: float = 124.0,
-    last_arcsec: float = 2.0,
-    frames_per_s: float | None = None,
-    steps: int = STEPS,
+    **path: Any,
 ) -> TurningPoints:
-    """Turning points of `driven_path`, measured with the noise that `decays.decay` adds."""
-    time, turn, _ = driven_path(
-        parameters, pendulum, world, q=q, seed=seed, first_arcsec=first_arcsec, last_arcsec=last_arcsec,
-        frames_per_s=frames_per_s, steps=steps,
-    )  # fmt: skip
+    """Turning points of `driven_path` (its arguments), with the noise that `decays.decay` adds."""
+    time, turn, _ = driven_path(parameters, pendulum, world, seed=seed, **path)
     rng = np.random.default_rng([seed, 77])
     return with_noise(time, np.abs(turn), parameters.period0_s, noise_arcsec, rng)
 

@@ -1,5 +1,7 @@
 """Paths as a camera's frames show them, and what the detector makes of them as a whole."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ from processing.swing import (
     half_cycles_of_blocks,
     turning_points,
 )
+from tests.processing.fit.decays import ARCSEC
+from tests.processing.fit.driven import driven_path
 
 
 def seen_in_frames(
@@ -28,3 +32,11 @@ def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, PieceHarm
     watch = HarmonicsMeasurement(half_cycles)
     watch.update(samples)
     return turning_points(half_cycles), watch.harmonics()
+
+
+def seen_decay(
+    *contact: Any, noise_seed: int | list[int], noise_rad: float = 0.005 * ARCSEC, **path: Any
+) -> tuple[TurningPoints, PieceHarmonics]:
+    """Turning points and waveform of `driven_path` (its arguments) in 25 frames a second."""
+    path_rad = driven_path(*contact, frames_per_s=25.0, **path)[2]
+    return points_and_harmonics(seen_in_frames(path_rad, noise_rad, noise_seed))

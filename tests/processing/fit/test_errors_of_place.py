@@ -57,16 +57,3 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     assert lines[MEASUREMENT] == pytest.approx(before[MEASUREMENT])
     assert lines[GROUND] == pytest.approx(before[GROUND])
     assert FIXED_PATTERN not in before
-
-
-def test_a_driven_pendulum_answers_to_shifted_amplitudes_as_a_refit_does() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.01, seed=4, last_arcsec=60.0)
-    walk = np.cumsum(np.random.default_rng(7).normal(0.0, 0.02 * ARCSEC, len(points)))
-    points = replace(points, amplitude=points.amplitude + walk)
-    fit = fit_exact(points, pendulum)
-    assert not fit.ground.noise.at_rest
-    wave = 0.02 * ARCSEC * np.sin(points.amplitude / (4 * ARCSEC))
-    told = fit_position_errors(LinearisedFit.of(points, pendulum, fit), wave[:, None])
-    assert 0.0 < told.covariance[0, 0] <= 1.0
-    assert np.all(np.isfinite(told.of_parameters))

@@ -13,7 +13,6 @@ from processing.fit import (
     FitResult,
     fit_exact,
     fit_with_knocks,
-    knocks,
     up_to_rest_step,
 )
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
@@ -96,7 +95,7 @@ def test_a_knock_counts_by_its_gain_beyond_that_of_choosing(
         ground = replace(fit.ground, deviance=fit.ground.deviance - gain)
         return replace(fit, ground=ground, outliers=(120,), evidence=evidence)
 
-    monkeypatch.setattr(knocks, "fit_exact", stand_in)
+    monkeypatch.setattr("processing.fit.changes.fit_exact", stand_in)
     assert len(fitted(points).changes) == found
 
 

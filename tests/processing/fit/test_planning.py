@@ -97,13 +97,6 @@ def test_the_ground_ends_a_run() -> None:
         planned_run(VALUES, PENDULUM, conditions(), 124 * ARCSEC, 123.9 * ARCSEC)
 
 
-def test_other_laws_are_planned_too() -> None:
-    values = {"k": 0.066, "q": 0.94, "c": 1e-8, "period0_s": 4.2}
-    planned = planned_run(values, PENDULUM, conditions(), 124 * ARCSEC, 30 * ARCSEC, law=LAWS["masing"])
-    assert set(planned.u) == set(values)
-    assert all(0 < planned.u[name] < 0.1 * value for name, value in values.items())
-
-
 @pytest.mark.parametrize(("noise", "left"), [(1.0, np.sqrt(0.5)), (0.1, 0.0995)])
 def test_a_seismometer_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
     ground = conditions(1e-7)

@@ -19,7 +19,7 @@ from processing.fit import (
 )
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
-from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
+from tests.processing.fit.frames import points_and_harmonics, seen_decay, seen_in_frames
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 DELAY_S_PER_RAD = 12.5
@@ -53,11 +53,10 @@ def test_a_rest_beside_the_middle_of_the_contact_is_found_and_covered() -> None:
     """Of 0.5 arcsec at 10 arcsec, n, T0 and gamma lay 5 u off, and a shutter and its rows had the blame."""
     parameters, pendulum = paper_pair("silicon")
     pull = (2 * np.pi / parameters.period0_s) ** 2 * 0.5 * ARCSEC
-    path = driven_path(
-        parameters, pendulum, q=1e-9, seed=1, last_arcsec=10.0, frames_per_s=25.0,
+    points, harmonics = seen_decay(
+        parameters, pendulum, q=1e-9, seed=1, last_arcsec=10.0, noise_seed=1,
         forcing=lambda time_s: np.full(len(time_s), pull),
-    )[2]  # fmt: skip
-    points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, 1))
+    )  # fmt: skip
     assert not row_delay(harmonics, parameters.period0_s).seen
     fit = fit_exact(points, pendulum)
     found = time_alternation(LinearisedFit.of(points, pendulum, fit))

@@ -16,7 +16,7 @@ from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.seismometer import SeismometerFit, SeismometerVerdict
 from processing.swing import TurningPoints, half_cycles_of, turning_points
 from processing.units import ARCSEC_RAD
-from tests.processing.fit.decays import paper_pair, truth, with_noise
+from tests.processing.fit.decays import paper_pair, pulls, with_noise
 from tests.processing.fit.driven import driven_path
 from tests.shared_data import SHARED_DATA
 
@@ -37,16 +37,12 @@ CLOCK: Floats = STEP_S * np.arange(12_000, dtype=np.float64)
 
 def decay(time_s: Floats, drive: Floats, last_arcsec: float = 15.0) -> tuple[TurningPoints, FitResult]:
     """Turning points with noise, and the fit without a seismometer."""
-    time, turn, _ = driven_path(
-        PARAMETERS,
-        PENDULUM,
-        q=0.0,
-        seed=0,
-        last_arcsec=last_arcsec,
-        forcing=lambda t: np.interp(t, time_s, drive, left=0.0, right=0.0),
-    )
-    rng = np.random.default_rng(1)
-    points = with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, rng)
+
+    def forcing(t: Floats) -> Floats:
+        return np.interp(t, time_s, drive, left=0.0, right=0.0)
+
+    time, turn, _ = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=0, last_arcsec=last_arcsec, forcing=forcing)
+    points = with_noise(time, np.abs(turn), PARAMETERS.period0_s, 0.005, np.random.default_rng(1))
     return points, fit_exact(points, PENDULUM, averaged=False)
 
 
@@ -59,11 +55,6 @@ def beside(seen: Seismogram) -> SeismometerFit:
     """The fit to the decay on white ground with this seismometer."""
     points, alone = on_white()
     return fit_with_seismometer(points, PENDULUM, seen, alone, averaged=False)
-
-
-def pulls(fit: FitResult) -> Floats:
-    true = truth(PARAMETERS, fit.names)
-    return np.asarray((fit.values[: len(true)] - true) / fit.standard_uncertainty[: len(true)])
 
 
 def seismometer(value: Floats, time_s: Floats = CLOCK) -> Seismogram:
@@ -79,7 +70,7 @@ def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
     (_, alone), found = on_white(), with_all_of_the_drive()
     assert found.use.used
     assert min(found.use.saved.values()) > 20
-    assert np.max(np.abs(pulls(found.fit))) < 4
+    assert np.max(np.abs(pulls(found.fit, PARAMETERS))) < 4
     (response,) = found.use.responses
     assert response.gain * UNIT == pytest.approx(1.0, abs=0.02)
     assert response.phase_rad == pytest.approx(0.0, abs=0.02)
@@ -151,10 +142,10 @@ def test_a_gap_costs_what_is_not_known() -> None:
     value[(CLOCK > 100) & (CLOCK < 160)] = np.nan
     found = beside(seismometer(value))
     whole = with_all_of_the_drive()
-    assert 29 <= found.use.missing_half_cycles <= 36
+    assert 31 <= found.use.missing_half_cycles <= 36
     assert found.use.used
     assert 5 < found.use.saved["b"] < 0.95 * whole.use.saved["b"]
-    assert np.max(np.abs(pulls(found.fit))) < 4
+    assert np.max(np.abs(pulls(found.fit, PARAMETERS))) < 4
 
 
 @pytest.mark.skipif(not SEISMOMETERS.exists(), reason="the recorded ground is not on this machine")
@@ -168,7 +159,7 @@ def test_a_real_seismometer_of_unknown_response_tells_what_drove_the_pendulum() 
     found = fit_with_seismometer(points, PENDULUM, counts, alone, averaged=False)
     assert 3e-8 < alone.ground.density_rad_per_s2_rthz.value < 3e-7
     assert min(found.use.saved.values()) > 10
-    assert np.max(np.abs(pulls(found.fit))) < 4
+    assert np.max(np.abs(pulls(found.fit, PARAMETERS))) < 4
     # velocity leads the acceleration by a quarter, up to the sign of the side
     assert abs(found.use.responses[0].phase_rad) == pytest.approx(np.pi / 2, abs=0.3)
     assert found.use.responses[0].with_slope

@@ -125,22 +125,6 @@ def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     assert results[0].information_gain["air"]["drag_s"] > 1.5
 
 
-@pytest.mark.parametrize("between", [0.0, 3.0])
-def test_intervals_of_three_runs_cover(between: float) -> None:
-    """With Student's t for two degrees of freedom, 95 % means at least 95 %."""
-    rng = np.random.default_rng(7)
-    u = np.array([1.0, 1.3, 0.8])
-    inside = 0
-    trials = 1000
-    for _ in range(trials):
-        x = between * rng.standard_normal(3) + u * rng.standard_normal(3)
-        combined = combine("c", [Estimate(float(v), float(s)) for v, s in zip(x, u, strict=True)])
-        inside += abs(combined.value) <= combined.expanded_uncertainty_95
-    assert inside / trials > 0.95 - 4 * np.sqrt(0.95 * 0.05 / trials)
-    if between:
-        assert inside / trials < 0.985, "not wider than needed where the scatter is real"
-
-
 def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
     series = combine_runs(runs(0, 1, 2))
     parameters, _ = paper_pair("glass_k8")

@@ -6,6 +6,7 @@ import pytest
 from processing.contact import LAWS, PendulumOnBall
 from processing.fit import compare_laws, fit_exact
 from processing.swing import TurningPoints
+from tests.processing.contact.gradients import assert_gradients
 from tests.processing.contact.laws.branches import dahl_decay, slider_decay
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair, with_noise
 
@@ -56,14 +57,6 @@ def test_sliders_lose_what_they_lose_one_by_one(drag: float) -> None:
     np.testing.assert_allclose(found.time, time / (2 * np.pi), rtol=2e-5)
 
 
-def test_a_linear_drag_alone_takes_the_same_share_of_every_swing() -> None:
-    drag, index = 4e-3, np.arange(300)
-    found = LAWS["viscous"].turning_points(np.array([drag, FIRST, 0.0, 1.0]), index)
-    rate = np.sqrt(1 - drag**2 / 4)
-    np.testing.assert_allclose(found.amplitude, np.exp(-np.pi * drag / (2 * rate) * index), rtol=1e-12)
-    np.testing.assert_allclose(found.time, index / (2 * rate), rtol=1e-11)
-
-
 @pytest.mark.parametrize(
     ("name", "values"),
     [
@@ -77,23 +70,10 @@ def test_a_linear_drag_alone_takes_the_same_share_of_every_swing() -> None:
 def test_gradients_are_those_of_differences(name: str, values: list[float]) -> None:
     # the table rounds the kinks of sliders that give way, and with them the slopes
     rtol = 0.05 if name == "maxwell-slip" else 2e-3
-    index, law = np.arange(0, 60, 3), LAWS[name]
     at = np.array([*values, 1e-3, FIRST, 0.0, 1.0])
-    found = law.turning_points(at, index)
-    for place in range(len(at)):
-        if place in (len(at) - 3, len(at) - 2):
-            continue  # the unit of angles and R/a, which no fit varies
-        step = np.zeros(len(at))
-        step[place] = 1e-3 * at[place]
-        high, low = law.turning_points(at + step, index), law.turning_points(at - step, index)
-        for gradient, above, below in (
-            (found.amplitude_gradient, high.amplitude, low.amplitude),
-            (found.time_gradient, high.time, low.time),
-        ):
-            numeric = (above - below) / (2 * step[place])
-            np.testing.assert_allclose(
-                gradient[:, place], numeric, rtol=rtol, atol=1e-9 + 2e-4 * np.abs(numeric).max()
-            )
+    steps = 1e-3 * at
+    steps[-3:-1] = 0.0  # the unit of angles and R/a, which no fit varies
+    assert_gradients(LAWS[name], at, np.arange(0, 60, 3), steps, rtol=rtol, atol=1e-9)
 
 
 @pytest.mark.slow

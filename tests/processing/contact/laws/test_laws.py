@@ -10,8 +10,6 @@ from processing.contact import AMPLITUDE, LAWS, TIME, Law
 from processing.contact.asymptotic import DecayStart, PeriodStart, StartValues
 from processing.contact.laws.paper import _propose_starts
 from processing.fit import fit_exact, identifiability
-from processing.fit.exact import starts_of
-from processing.fit.exact_model import ExactModel
 from tests.processing.contact.laws.branches import constant_decay
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 
@@ -25,34 +23,29 @@ def test_a_law_says_what_people_need(law: Law) -> None:
     assert len(set(law.names())) == len(law.parameters)
     assert law.parameter("period0_s") in law.parameters
     for parameter in law.parameters:
-        assert parameter.symbol
-        assert parameter.unit
-        assert parameter.description
-        assert parameter.source
+        assert all((parameter.symbol, parameter.unit, parameter.description, parameter.source))
         assert parameter.lower < parameter.upper
-        assert law.parameter(parameter.key) is parameter
     beside = () if "drag_s" in law.names() else ("drag_s",)
     assert law.fit_names(drag=True) == (*law.names(), *beside, AMPLITUDE.key, TIME.key)
 
 
+@pytest.mark.parametrize("drag", [False, True])
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_columns_stand_for_the_physical_values_and_back(law: Law) -> None:
-    parameters, pendulum = paper_pair("steel")
+def test_columns_stand_for_the_physical_values_and_back(law: Law, drag: bool) -> None:
+    parameters, pendulum = paper_pair("steel", 1e-4)
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
-    model = ExactModel(points, pendulum, law=law)
-    start = next(starts_of(model))
-    values, by_columns = model.parametrisation.physical(start)
-    back = model.parametrisation.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
-    np.testing.assert_allclose(back, start, rtol=1e-9)
-    for k in range(len(start)):
-        step = np.zeros(len(start))
-        step[k] = 1e-6 * max(abs(start[k]), 1e-3)
-        high, low = (
-            model.parametrisation.physical(start + step)[0],
-            model.parametrisation.physical(start - step)[0],
-        )
-        numeric = (high - low) / (2 * step[k])
-        np.testing.assert_allclose(by_columns[:, k], numeric, rtol=1e-5, atol=1e-7 * np.abs(values).max())
+    names = law.fit_names(drag=drag)
+    columns = law.coordinates(points, pendulum, names)
+    start = columns.starts(points)[0][0]
+    values = dict(zip(names, columns.physical(start)[0].tolist(), strict=True))
+    np.testing.assert_allclose(columns.from_physical(values), start, rtol=1e-9)
+    sizes = np.maximum(np.abs(start), 0.1)
+    for conversion in (columns.physical, columns.map_parameters):
+        value, by_columns = conversion(start)
+        for k, step in enumerate(np.diag(1e-6 * sizes)):
+            slope = (conversion(start + step)[0] - conversion(start - step)[0]) / (2 * step[k])
+            scale = np.maximum(np.abs(value), np.abs(by_columns[:, k] * sizes[k])) + 1e-300
+            np.testing.assert_allclose((slope - by_columns[:, k]) * sizes[k] / scale, 0.0, atol=1e-6)
 
 
 def test_a_law_other_than_the_papers_is_fitted() -> None:
