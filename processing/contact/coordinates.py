@@ -124,6 +124,8 @@ class Coordinates:
         Derivative of the map's parameters with respect to ln(R/a), which a fit takes as known.
     exponents
         Keys of the law's exponents. Where one is not known, chi2 may have several minima.
+    elastic
+        Keys of the elastic parameters with an exponent. Where one may be 0, its exponent is not known.
     valley
         Column along which friction and drag replace each other without a change of the turning points; None
         if there is none, or if it is not known.
@@ -148,6 +150,7 @@ class Coordinates:
         self._own = tuple(parameter.key for parameter in self._parameters)
         self._scalings = scalings
         self.exponents = frozenset(scaling.exponent for scaling in scalings.values()) - {""}
+        self.elastic = tuple(key for key, item in scalings.items() if item.exponent and not item.loses)
         self._drag = DRAG.key in names
         self._cache: dict[bytes, tuple[Floats, Floats]] = {}
         self._valley_coordinates, self._propose_starts = valley_coordinates(self._drag), propose_starts

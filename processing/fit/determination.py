@@ -177,7 +177,9 @@ def profile_likelihood(
     lowest_cost, free_at_lowest = result.cost, best[conditional.free]
     if parameter.lower == 0 and value < 0:
         start = np.clip(conditional.follow(value, free_at_lowest, 0.0), low_end, high_end)
-        at_zero = refit(conditional.with_held(0.0), start)
+        at_zero = _refit(refit, conditional.with_held(0.0), start)
+        if at_zero is None:
+            return Profile(nan, nan, np.array([[value, 0.0]]), np.empty((0, len(best))))
         value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
     root_at_begin = 0.0
     if begin is not None:

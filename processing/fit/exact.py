@@ -155,12 +155,12 @@ def _largest_change_u(start: Floats, solution: Solution) -> float:
 def _likeliest_minimum(
     model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None, start: Floats | None
 ) -> _Minimum:
-    """Likeliest minimum over the start values; the first possible one that fits the data is accepted.
+    """Likeliest minimum over the start values; the first clear one that fits the data is accepted.
 
     One with a sign that cannot be is taken only where it is likelier by the square of `IMPOSSIBLE_U`.
     """
     best: _Minimum | None = None
-    lowest, is_possible = np.inf, False
+    lowest, is_sure = np.inf, False
     start_count = 0
     known = [] if start is None else [_inside(model, start)]
     others = (other for other in starts_of(model) if start is None or not np.array_equal(other, start))
@@ -169,14 +169,15 @@ def _likeliest_minimum(
         minimum = _minimum_from(model, coordinates, loss, kind)
         if minimum is None:
             continue
-        worse = 0.0 if _has_possible_signs(minimum) else IMPOSSIBLE_U**2
+        is_possible, is_clear = _is_possible_and_clear(minimum)
+        worse = 0.0 if is_possible else IMPOSSIBLE_U**2
         # the restricted likelihood contains the information, which differs with the coordinates
         deviance = minimum.likeliest.unrestricted + worse
         if best is None or deviance < lowest:
-            best, lowest, is_possible = minimum, deviance, not worse
+            best, lowest, is_sure = minimum, deviance, is_possible and is_clear
         evidence = best.model.evidence_rows(best.solution.values)[0]
         agrees = float(evidence @ evidence) <= _GOOD_EVIDENCE * (len(evidence) + 1)
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees and is_possible:
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees and is_sure:
             break
     if not start_count:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -188,16 +189,18 @@ def _likeliest_minimum(
     return best
 
 
-def _has_possible_signs(minimum: _Minimum) -> bool:
-    """Whether no parameter that cannot be negative is so beyond chance, as in a minimum beside the law's.
+def _is_possible_and_clear(minimum: _Minimum) -> tuple[bool, bool]:
+    """Whether no parameter that cannot be negative is so beyond chance, and whether elasticity is seen.
 
-    A drive of the ground gives such a minimum a good chi-square, too.
+    Otherwise the minimum may be one beside the law's; a drive of the ground gives it a good chi-square, too.
     """
     model, solution = minimum.model, minimum.solution
     values, slopes = model.parametrisation.physical(solution.values)
     u = np.sqrt(np.diag(propagate(slopes, solution.covariance)))
     estimates = {name: Estimate(*pair) for name, *pair in zip(model.names, values, u, strict=True)}
-    return not impossible_signs(model.law, estimates)
+    elastic = [estimates[name] for name in model.parametrisation.elastic]
+    is_clear = all(value > IMPOSSIBLE_U * u_value for value, u_value in elastic)
+    return not impossible_signs(model.law, estimates), is_clear
 
 
 def fit_exact(

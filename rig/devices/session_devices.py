@@ -239,7 +239,7 @@ def _simulated_interlock(
     faults: FaultSettings, set_power: Callable[[float], None]
 ) -> tuple[Callable[[float], None], Callable[[], bool]]:
     """What sets the laser's power in W, and whether the interlock is closed, which opens after it was lit."""
-    lit_s = math.inf
+    lit_s, opens_at_s, open_for_s = math.inf, faults.interlock_opens_at_s, faults.interlock_open_for_s
 
     def laser(power_w: float) -> None:
         nonlocal lit_s
@@ -248,7 +248,7 @@ def _simulated_interlock(
         set_power(power_w)
 
     def is_closed() -> bool:
-        opens_s = math.inf if faults.interlock_opens_at_s is None else lit_s + faults.interlock_opens_at_s
-        return not 0 <= time.monotonic() - opens_s < faults.interlock_open_for_s
+        opens_s = math.inf if opens_at_s is None else lit_s + opens_at_s
+        return not 0 <= time.monotonic() - opens_s < open_for_s
 
     return laser, is_closed

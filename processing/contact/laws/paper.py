@@ -135,13 +135,14 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
 def _propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
     """Start values by Eqs. 5 and 6: exponents n that fit the periods best, then without adhesion.
 
-    They are the best three, and the best with a positive gamma: with a small n the term of R/a in Eq. 3
-    resembles a negative gamma with n = 1. Eq. 5 neglects that adhesion reduces the restoring moment, so that
-    its rates are converted to those of the exact map.
+    They are the best three, and of those with a positive gamma the best and that of the smallest n: with a
+    small n the term of R/a in Eq. 3 resembles a negative gamma with n = 1. Eq. 5 neglects that adhesion
+    reduces the restoring moment, so that its rates are converted to those of the exact map.
     """
     decay, proposals = start.decay, []
     positive = [k for k, period in enumerate(start.periods) if period.kappa > 0]
-    chosen = sorted({*range(min(3, len(start.periods))), *positive[:1]})
+    smallest = sorted(positive, key=lambda k: start.periods[k].n)
+    chosen = sorted({*range(min(3, len(start.periods))), *positive[:1], *smallest[:1]})
     for period in [*(start.periods[k] for k in chosen), PeriodStart(start.mean_period_s, 0.5, 0.0)]:
         period0_s, kappa = _by_harmonic_balance(period)
         stiffness = (period0_s / start.mean_period_s) ** 2

@@ -126,7 +126,8 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
         assert "reference spot: x used, y used" in one.notes
     assert replayed.fits["exact"].estimate("b") == found
     again = tracked.fits["exact"].estimate("b").value
-    assert again == pytest.approx(found.value, abs=1e-3 * found.standard_uncertainty)
+    # within which a search ends
+    assert again == pytest.approx(found.value, abs=0.02 * found.standard_uncertainty)
 
 
 def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None:
