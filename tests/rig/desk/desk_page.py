@@ -15,6 +15,8 @@ import cv2
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 LIMIT_S = 50.0
+_ANSWER_S = 15.0
+"""Time after which a press in a dialog that had no answer is made again."""
 IN_DIALOG = "[...document.querySelectorAll('.q-dialog [data-deliberate]')].at(-1)"
 HIT = "window.__hit"
 SIZE = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
@@ -130,11 +132,15 @@ class Page:
             if self.wait(f"{IN_DIALOG} != null ? 'ask' : {button} == null ? 'done' : null") == "ask":
                 self.wait_while(f"{HIT} === 1 || {IN_DIALOG} == null", lambda: self._aim_at(IN_DIALOG))
                 if self.ask(f"(hit => (delete {HIT}, hit))({HIT} === 1)"):
-                    self.wait(f"document.querySelector('.errors > *, .q-notification') || {button} == null")
+                    # a person presses again, too, where nothing follows
+                    answer = f"document.querySelector('.errors > *, .q-notification') || {button} == null"
+                    deadline_s = time.monotonic() + _ANSWER_S
+                    while not self.ask(answer) and time.monotonic() < deadline_s:
+                        time.sleep(0.1)
 
         # news of the trip may come later than what follows from it
         self.wait(f"{button} != null")
-        self.wait_while(f"{button} == null", ask)
+        self.wait_while(f"{button} == null", ask, 2 * LIMIT_S)
 
     def type(self, text: str) -> None:
         """Type a text wherever the focus is; `\\r` is the key Enter."""
