@@ -43,6 +43,9 @@ _MAX_STIFFNESS_RATIO = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
 which parameters are tried."""
 
+_START_KAPPAS = (-0.5, 0.63)
+"""Range of kappa at starts: at 2/pi = 0.637 and n = 0 adhesion cancels all of the stiffness."""
+
 
 def friction_moment(b: float, p: float, c: float) -> Moment:
     """Eq. 1."""
@@ -146,14 +149,14 @@ def _propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
     for period in [*(start.periods[k] for k in chosen), PeriodStart(start.mean_period_s, 0.5, 0.0)]:
         period0_s, kappa = _by_harmonic_balance(period)
         stiffness = (period0_s / start.mean_period_s) ** 2
-        factor = stiffness if 0.05 < stiffness < 20 else 1.0
+        factor = stiffness if 1 / _MAX_STIFFNESS_RATIO < stiffness < _MAX_STIFFNESS_RATIO else 1.0
         proposals.append(
             {
                 "b": max(decay.b * factor, 1e-9),
                 "p": float(np.clip(decay.p, 0.1, 3.0)),
                 "c": decay.c * factor,
                 "n": period.n,
-                "gamma_pa": float(np.clip(kappa, -0.5, 0.63)),
+                "gamma_pa": float(np.clip(kappa, *_START_KAPPAS)),
                 DRAG.key: decay.d * 4 / pi,
                 PERIOD: period0_s,
             }
@@ -167,7 +170,7 @@ def _by_harmonic_balance(period: PeriodStart) -> tuple[float, float]:
     Eq. 6 is its first order in kappa, too little where adhesion cancels much of the stiffness.
     """
     drop = period.kappa * float(cosine_moment(period.n + 2))
-    per_stiffness = 1 / max((1 - drop) * (1 + drop), 0.05)
+    per_stiffness = 1 / max((1 - drop) * (1 + drop), 1 / _MAX_STIFFNESS_RATIO)
     return period.period0_s * per_stiffness**0.5, period.kappa * (1 - drop) * per_stiffness
 
 
